@@ -1,0 +1,193 @@
+"""Compiled kernels, kept on disk until their source changes.
+
+``@kernel`` compiles a function with numba at its first call and keeps the result, so that the
+second start of a process compiles nothing.
+
+numba's own cache looks only at the file of the function itself. A kernel that calls one of another
+file would go on running the old one after a change there, silently. So each kernel gets a folder
+of its own, named after a digest of all that went into it: its file, the kernels it calls, and the
+constants it takes from its module.
+"""
+
+from __future__ import annotations
+
+import builtins
+import dis
+import hashlib
+import os
+import shutil
+import sys
+import time
+import types
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+from numba.core import config as numba_config
+from numba.core import event as numba_event
+from numba.core.dispatcher import Dispatcher
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+# Folders of earlier sources are kept a while: other checkouts on this machine may use them.
+_KEEP_SECONDS = 7 * 24 * 3600
+
+# Their functions are part of the compiler's version, not of our source.
+_FOREIGN = {"numpy", "numba", "math", "cmath", "builtins", "operator"}
+
+
+class KernelError(TypeError):
+    """A function that cannot be made a kernel."""
+
+
+def cache_folder() -> Path:
+    """Return where compiled kernels are kept: ``$MFPCC_CACHE``, else ``~/.cache/mfpcc``."""
+    chosen = os.environ.get("MFPCC_CACHE")
+    if chosen:
+        return Path(chosen).expanduser() / "kernels"
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "mfpcc" / "kernels"
+
+
+def kernel(function: Function) -> Function:
+    """Compile a function with numba, and keep the result on disk.
+
+    Floating-point semantics are strict, so that a run is reproducible bit for bit; division by
+    zero gives inf or nan, as in NumPy. The functions it calls must be defined above it or in
+    modules imported above it.
+    """
+    digest = _digest(function)
+    function.__kernel_digest__ = digest  # type: ignore[attr-defined]
+    folder = _folder(function, digest)
+    # This setting says where the cache of a function is at the moment it is decorated.
+    before = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(folder or "")
+    try:
+        return numba.njit(  # type: ignore[no-any-return]
+            function, cache=folder is not None, error_model="numpy", nogil=True
+        )
+    finally:
+        numba_config.CACHE_DIR = before
+
+
+def announce(say: Callable[[str], None] | None = None) -> None:
+    """Say once when kernels have to be compiled, since it takes a while.
+
+    Parameters
+    ----------
+    say : callable, optional
+        Gets the sentence; without it, it goes to the standard error stream. Nothing is said where
+        all kernels come from disk.
+    """
+    numba_event.register("numba:compile", _Announcer(say or _say_on_stderr))
+
+
+class _Announcer(numba_event.Listener):  # type: ignore[misc]
+    _said = False
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+
+    def on_start(self, event: Any) -> None:
+        if not _Announcer._said:
+            _Announcer._said = True
+            self._say("compiling kernels (first start only) ...")
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+def _say_on_stderr(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _folder(function: Callable[..., Any], digest: str) -> Path | None:
+    """Return the cache folder of a kernel, or None where nothing can be kept."""
+    if not Path(function.__code__.co_filename).is_file():
+        return None  # typed at a prompt
+    name = f"{function.__module__}.{function.__qualname__}".replace("<locals>", "_")
+    folder = cache_folder() / f"{name}-{digest[:16]}"
+    try:
+        fresh = not folder.is_dir()
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    except OSError as error:
+        _say_on_stderr(
+            f"compiled kernels cannot be kept in {folder.parent} ({error.strerror}), so each start "
+            "compiles anew; set MFPCC_CACHE to a folder that can be written"
+        )
+        return None
+    if fresh:
+        _prune(folder.parent, name)
+    return folder
+
+
+def _prune(parent: Path, name: str) -> None:
+    """Remove what was compiled from earlier sources of a kernel and not used for a while."""
+    oldest = time.time() - _KEEP_SECONDS
+    for folder in parent.glob(f"{name}-*"):
+        try:
+            if folder.stat().st_mtime < oldest:
+                shutil.rmtree(folder, ignore_errors=True)
+        except OSError:
+            continue  # another process was faster
+
+
+def _digest(function: Callable[..., Any]) -> str:
+    """Return a digest of a function's file, of what it calls, and of the constants it uses."""
+    known = getattr(function, "__kernel_digest__", None)
+    if known is not None:
+        return str(known)
+    parts = hashlib.sha256(f"{numba.__version__} {np.__version__} {sys.version_info[:2]}".encode())
+    try:
+        parts.update(Path(function.__code__.co_filename).read_bytes())
+    except OSError:
+        parts.update(function.__code__.co_code)
+    for name, value in sorted(_references(function), key=lambda item: item[0]):
+        if isinstance(value, Dispatcher):
+            value = value.py_func
+        if isinstance(value, types.FunctionType):
+            if value is not function and value.__module__.split(".")[0] not in _FOREIGN:
+                parts.update(f"{name}={_digest(value)}\n".encode())
+        elif isinstance(value, np.ndarray):
+            parts.update(f"{name}={value.dtype}{value.shape}\n".encode() + value.tobytes())
+        elif isinstance(
+            value, (bool, int, float, complex, str, bytes, tuple, np.generic, np.dtype)
+        ):
+            # The compiler freezes these into the code.
+            parts.update(f"{name}={value!r}\n".encode())
+    return parts.hexdigest()
+
+
+def _references(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the names that a function takes from outside, with their values."""
+    code = function.__code__
+    for name, cell in zip(code.co_freevars, function.__closure__ or ()):
+        yield name, cell.cell_contents
+    for name in _global_names(code):
+        if name in function.__globals__:
+            value = function.__globals__[name]
+        elif hasattr(builtins, name) or name == function.__name__:
+            continue
+        else:
+            # Its source could not be part of the digest.
+            raise KernelError(
+                f"kernel '{function.__name__}' in {code.co_filename} uses '{name}', which is not "
+                "defined above it"
+            )
+        if not isinstance(value, types.ModuleType):
+            yield name, value
+        elif value.__name__.split(".")[0] not in _FOREIGN:
+            for attribute in code.co_names:
+                if hasattr(value, attribute):
+                    yield f"{name}.{attribute}", getattr(value, attribute)
+
+
+def _global_names(code: types.CodeType) -> set[str]:
+    found = {item.argval for item in dis.get_instructions(code) if item.opname == "LOAD_GLOBAL"}
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            found |= _global_names(constant)
+    return found

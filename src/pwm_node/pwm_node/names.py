@@ -1,0 +1,31 @@
+"""Sentences about names that do not exist, with the nearest one that does."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that looks most like `name`, or None if none does."""
+    by_lower = {candidate.lower(): candidate for candidate in known}
+    matches = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
+    return by_lower[matches[0]] if matches else None
+
+
+def unknown(kind: str, name: str, known: Iterable[str]) -> str:
+    """Say that `name` is not one of the `known` names of this `kind`.
+
+    >>> unknown("scheme", "mbpc", ["mbpcc", "mfpcc"])
+    "unknown scheme 'mbpc'; did you mean 'mbpcc'? There are: mbpcc, mfpcc"
+    """
+    known = list(known)
+    best = nearest(name, known)
+    sentence = f"unknown {kind} '{name}'"
+    if best is not None:
+        sentence += f"; did you mean '{best}'?"
+    else:
+        sentence += "."
+    if not known:
+        return f"{sentence} There are none"
+    return f"{sentence} There are: {', '.join(sorted(known))}"

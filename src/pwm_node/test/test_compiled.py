@@ -1,0 +1,89 @@
+"""Kernels are compiled once, and again when anything they are made of changes."""
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+PACKAGE_PARENT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Write two modules where one's kernel calls the other's, and run them in a new process."""
+    environment = {
+        **os.environ,
+        "MFPCC_CACHE": str(tmp_path / "cache"),
+        "PYTHONPATH": f"{tmp_path}{os.pathsep}{PACKAGE_PARENT}",
+    }
+
+    def _run(factor: str = "2.0", offset: str = "1.0") -> tuple[float, bool]:
+        (tmp_path / "inner.py").write_text(
+            textwrap.dedent(f"""\
+            from pwm_node.compiled import kernel
+            OFFSET = {offset}
+            @kernel
+            def inner(x):
+                return {factor} * x
+            """)
+        )
+        (tmp_path / "outer.py").write_text(
+            textwrap.dedent("""\
+            import inner as module
+            from inner import OFFSET
+            from pwm_node.compiled import announce, kernel
+            @kernel
+            def outer(x):
+                return module.inner(x) + OFFSET
+            announce()
+            print(outer(10.0))
+            """)
+        )
+        result = subprocess.run(
+            [sys.executable, "-B", str(tmp_path / "outer.py")],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=True,
+        )
+        said = result.stderr.count("compiling kernels (first start only)")
+        assert said <= 1
+        return float(result.stdout), bool(said)
+
+    return _run
+
+
+def test_compiles_only_what_changed(run):
+    assert run() == (21.0, True)
+    assert run() == (21.0, False), "the second start must compile nothing"
+    assert run(factor="3.0") == (31.0, True), "a kernel in another file changed"
+    assert run(factor="3.0", offset="4.0") == (34.0, True), "a constant in another file changed"
+    assert run() == (21.0, False), "the first source is still on disk"
+
+
+def test_a_kernel_must_not_use_what_comes_later(tmp_path, monkeypatch):
+    monkeypatch.setenv("MFPCC_CACHE", str(tmp_path))
+    from pwm_node.compiled import KernelError, kernel
+
+    with pytest.raises(KernelError, match="'missing'"):
+
+        @kernel
+        def early(x):
+            return missing(x)  # noqa: F821
+
+
+def test_goes_on_where_nothing_can_be_kept(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("MFPCC_CACHE", str(tmp_path / "file"))
+    from pwm_node.compiled import kernel
+
+    @kernel
+    def double(x):
+        return 2.0 * x
+
+    assert double(2.0) == 4.0
+    assert "cannot be kept" in capsys.readouterr().err
