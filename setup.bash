@@ -1,0 +1,36 @@
+# shellcheck shell=bash
+# A shell in which everything is on the path: `source setup.bash`, from any folder, as often as
+# you like. The set-up itself is `make build`.
+
+if [[ "${BASH_SOURCE[0]}" == "$0" ]]; then
+    echo "setup.bash: source it instead (source ${BASH_SOURCE[0]}): it sets up this shell" >&2
+    exit 1
+fi
+
+_mfpcc_root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")" >/dev/null && pwd -P)
+
+# The set-up writes this file last, so without it there is nothing here, or half of it.
+if [[ ! -f "$_mfpcc_root/install/.complete" ]]; then
+    echo "setup.bash: nothing is built here yet; run: make -C $_mfpcc_root build" >&2
+    unset _mfpcc_root
+    return 1
+fi
+
+# Neither of the two scripts is written for `set -u`.
+case $- in
+    *u*) _mfpcc_nounset=1; set +u ;;
+    *) _mfpcc_nounset= ;;
+esac
+source "$_mfpcc_root/.venv/bin/activate"
+source "$_mfpcc_root/install/setup.bash"
+if [[ -n "$_mfpcc_nounset" ]]; then set -u; fi
+
+# `ros2 pkg`, `ros2 interface` and our own look-ups find the wheels' packages by this.
+if [[ -d "$VIRTUAL_ENV/share/ament_index" && ":${AMENT_PREFIX_PATH:-}:" != *":$VIRTUAL_ENV:"* ]]; then
+    export AMENT_PREFIX_PATH="${AMENT_PREFIX_PATH:+$AMENT_PREFIX_PATH:}$VIRTUAL_ENV"
+fi
+
+# A simulated drive has no business on the network unless it is told so.
+export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+
+unset _mfpcc_root _mfpcc_nounset

@@ -1,0 +1,29 @@
+"""Build description for colcon (ament_python); what it depends on is in package.xml."""
+
+from setuptools import find_packages, setup
+
+package = "mfpcc_experiments"
+
+setup(
+    name=package,
+    version="0.1.0",
+    packages=find_packages(include=[package, f"{package}.*"]),
+    package_data={package: ["py.typed", "templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
+        (f"share/{package}", ["package.xml"]),
+        ("bin", ["bin/mfpcc"]),  # on PATH, unlike what is in lib/
+    ],
+    zip_safe=False,
+    maintainer="MFPCC maintainers",
+    maintainer_email="maintainers@example.org",
+    description="Experiments with the drive: scenario, run, record, replay, metrics, figures and report, and the command mfpcc",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "drive = mfpcc_experiments.drive:main",
+            "record = mfpcc_experiments.record:main",
+            "replay = mfpcc_experiments.replay_node:main",
+        ],
+    },
+)

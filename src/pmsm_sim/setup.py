@@ -1,0 +1,26 @@
+"""Build description for colcon (ament_python); what it depends on is in package.xml."""
+
+from setuptools import find_packages, setup
+
+package = "pmsm_sim"
+
+setup(
+    name=package,
+    version="0.1.0",
+    packages=find_packages(include=[package, f"{package}.*"]),
+    package_data={package: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
+        (f"share/{package}", ["package.xml"]),
+    ],
+    zip_safe=False,
+    maintainer="MFPCC maintainers",
+    maintainer_email="maintainers@example.org",
+    description="The plant: two-level inverter, permanent-magnet synchronous machine, load and sensors, and one thin node around them",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "pmsm_sim = pmsm_sim.node:main",
+        ],
+    },
+)
