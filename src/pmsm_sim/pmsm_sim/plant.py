@@ -1,0 +1,238 @@
+"""The simulated drive: inverter, machine, mechanics and sensors, one PWM period at a time.
+
+`Plant` holds the records; the kernel `advance` does the work of one period and is what both the
+node and the in-process engine call. Nothing here knows of ROS.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pmsm_sim import motor
+from pmsm_sim.inverter import leg_voltage, set_pattern
+from pmsm_sim.machine import MAX_STEP_ANGLE, derivative, small_rotation, step, torque
+from pmsm_sim.noise import normal_pair
+from pmsm_sim.records import PLANT_PAR, PLANT_STATE
+from pwm_node.compiled import kernel
+
+# Answers of `latch`
+ACCEPTED = 0
+WRONG_PERIOD = 1
+OUT_OF_RANGE = 2
+
+_TWO_PI = 2.0 * math.pi
+_SQRT3_2 = 0.5 * math.sqrt(3.0)
+
+
+@kernel
+def latch(st_, cmd_):
+    """Take the command for the period that begins now.
+
+    Returns `ACCEPTED`, `WRONG_PERIOD` or `OUT_OF_RANGE`; only an accepted command has an effect.
+    """
+    st, cmd = st_[0], cmd_[0]
+    if cmd.period != st.period or st.latched:
+        return WRONG_PERIOD
+    for x in range(3):
+        # written so that NaN is out of range
+        if not (cmd.duty[x] >= 0.0 and cmd.duty[x] <= 1.0):
+            return OUT_OF_RANGE
+    for x in range(3):
+        st.duty[x] = cmd.duty[x]
+    st.enable = cmd.enable
+    st.latched = True
+    return ACCEPTED
+
+
+@kernel
+def _sample(par, st, c, s, fb):
+    """Fill the measurement record from the state at the start of the period."""
+    i_alpha = c * st.i_d - s * st.i_q
+    i_beta = s * st.i_d + c * st.i_q
+    i_a = i_alpha
+    i_b = -0.5 * i_alpha + _SQRT3_2 * i_beta
+    i_c = -0.5 * i_alpha - _SQRT3_2 * i_beta
+    if par.noise_rms > 0.0:
+        n_a, n_b = normal_pair(par.seed, st.period, np.uint64(0))
+        n_c, _ = normal_pair(par.seed, st.period, np.uint64(1))
+        i_a += par.noise_rms * n_a
+        i_b += par.noise_rms * n_b
+        i_c += par.noise_rms * n_c
+    fb.period = st.period
+    fb.i_a = i_a
+    fb.i_b = i_b
+    fb.i_c = i_c
+    fb.encoder_angle = st.theta_M
+    fb.dc_voltage = par.u_dc
+
+
+@kernel
+def _set_stamp(stamp, period, period_ns):
+    t_ns = np.int64(period) * period_ns
+    stamp.sec = t_ns // 1_000_000_000
+    stamp.nanosec = t_ns % 1_000_000_000
+
+
+@kernel
+def _oversample(par, t_0, h, c, s, u, start, end, legs, k, i_abc, legs_out):
+    """Waveform at the points j T_s / n inside [t_0, t_0 + h) by cubic Hermite interpolation.
+
+    `start` and `end` are (i_d, i_q, w_M) at the limits of the interval, `u` the voltage
+    (u_alpha, u_beta), c and s the cosine and sine of the electrical angle at its start. The
+    trajectory itself is not touched, so a run is the same with and without oversampling. Returns
+    the index of the next point.
+    """
+    n = legs_out.shape[0]
+    dt = par.T_s / n
+    if k >= n or k * dt >= t_0 + h:
+        return k
+    i_d0, i_q0, w_0 = start
+    i_d1, i_q1, w_1 = end
+    u_d, u_q = c * u[0] + s * u[1], c * u[1] - s * u[0]
+    dd_0, dq_0, a_M = derivative(par, i_d0, i_q0, w_0, u_d, u_q)
+    c_1, s_1 = small_rotation(par.n_p * 0.5 * (w_0 + w_1) * h)
+    dd_1, dq_1, _ = derivative(par, i_d1, i_q1, w_1, c_1 * u_d + s_1 * u_q, c_1 * u_q - s_1 * u_d)
+    while k < n and k * dt < t_0 + h:
+        t = k * dt - t_0
+        x = t / h
+        y = 1.0 - x
+        b_0 = (1.0 + 2.0 * x) * y * y
+        b_1 = x * x * (3.0 - 2.0 * x)
+        m_0 = x * y * y * h
+        m_1 = -x * x * y * h
+        i_d = b_0 * i_d0 + b_1 * i_d1 + m_0 * dd_0 + m_1 * dd_1
+        i_q = b_0 * i_q0 + b_1 * i_q1 + m_0 * dq_0 + m_1 * dq_1
+        c_t, s_t = small_rotation(par.n_p * t * (w_0 + 0.5 * a_M * t))
+        c_k, s_k = c * c_t - s * s_t, s * c_t + c * s_t
+        i_alpha = c_k * i_d - s_k * i_q
+        i_beta = s_k * i_d + c_k * i_q
+        i_abc[3 * k] = i_alpha
+        i_abc[3 * k + 1] = -0.5 * i_alpha + _SQRT3_2 * i_beta
+        i_abc[3 * k + 2] = -0.5 * i_alpha - _SQRT3_2 * i_beta
+        legs_out[k] = legs
+        k += 1
+    return k
+
+
+@kernel
+def advance(par_, st_, fb_, ds_, i_abc, legs_out):
+    """One PWM period: sample, then integrate it with the duties latched for it.
+
+    Parameters
+    ----------
+    par_, st_ : arrays of length 1 of `PLANT_PAR`, `PLANT_STATE`
+    fb_, ds_ : arrays of length 1
+        The fixed parts of `PhaseFeedback` and `DriveState`, written here.
+    i_abc : float64 array, shape (3 n,)
+        Phase currents at n equal steps of the period, written here; n may be 0.
+    legs_out : uint8 array, shape (n,)
+    """
+    par, st, fb, ds = par_[0], st_[0], fb_[0], ds_[0]
+    theta_m = par.n_p * st.theta_M
+    c, s = math.cos(theta_m), math.sin(theta_m)
+    _set_stamp(fb.stamp, st.period, par.period_ns)
+    _set_stamp(ds.stamp, st.period, par.period_ns)
+    _sample(par, st, c, s, fb)
+
+    ds.period = st.period
+    ds.i_dq[0] = st.i_d
+    ds.i_dq[1] = st.i_q
+    ds.torque = torque(par, st.i_d, st.i_q)
+    ds.speed = st.w_M
+    ds.angle = st.theta_M
+    ds.load_torque = par.tau_L
+    ds.dc_voltage = par.u_dc
+    ds.gates_on = st.enable
+
+    set_pattern(st, par.T_s)
+    i_d, i_q, w_M, turn_M, energy = st.i_d, st.i_q, st.w_M, 0.0, 0.0
+    n_over = legs_out.shape[0]
+    k = 0
+    for j in range(7):
+        length = st.t_switch[j + 1] - st.t_switch[j]
+        if length <= 0.0:
+            continue
+        u_alpha, u_beta = leg_voltage(st.legs[j], par.u_dc)
+        n = math.ceil(max(length / par.h_max, abs(par.n_p * w_M) * length / MAX_STEP_ANGLE))
+        h = length / n
+        for m in range(n):
+            i_d1, i_q1, w_M1, turn, taken = step(par, i_d, i_q, w_M, c, s, u_alpha, u_beta, h)
+            if n_over > 0:
+                k = _oversample(
+                    par,
+                    st.t_switch[j] + m * h,
+                    h,
+                    c,
+                    s,
+                    (u_alpha, u_beta),
+                    (i_d, i_q, w_M),
+                    (i_d1, i_q1, w_M1),
+                    st.legs[j],
+                    k,
+                    i_abc,
+                    legs_out,
+                )
+            c_t, s_t = small_rotation(par.n_p * turn)
+            c, s = c * c_t - s * s_t, s * c_t + c * s_t
+            i_d, i_q, w_M = i_d1, i_q1, w_M1
+            turn_M += turn
+            energy += taken
+
+    ds.dc_current = energy / (par.u_dc * par.T_s)
+    st.i_d, st.i_q, st.w_M = i_d, i_q, w_M
+    theta_M = (st.theta_M + turn_M) % _TWO_PI
+    # a tiny negative angle wraps to 2 pi itself by rounding
+    st.theta_M = theta_M if theta_M < _TWO_PI else 0.0
+    st.energy_in += energy
+    st.period += np.uint64(1)
+    st.latched = False
+
+
+class Plant:
+    """The simulated drive and its parameters.
+
+    Parameters
+    ----------
+    values : mapping
+        A value for every parameter of `pmsm_sim.parameters.TABLE`.
+
+    Attributes
+    ----------
+    par, st : arrays of length 1 of `PLANT_PAR`, `PLANT_STATE`
+    """
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self.motor = motor.load(values["motor"])
+        self.oversampling: int = values["oversampling"]
+        self.par = np.zeros(1, PLANT_PAR)
+        self.st = np.zeros(1, PLANT_STATE)
+
+        par = self.par
+        for name in ("R_s", "L_d", "L_q", "psi_f", "n_p", "J", "B"):
+            par[name] = getattr(self.motor, name)
+        par["T_s"] = 1.0 / values["pwm_frequency"]
+        par["period_ns"] = round(1e9 / values["pwm_frequency"])
+        par["h_max"] = 0.5 * par["T_s"]
+        par["seed"] = values["seed"]
+        self.apply(values)
+
+        # until the first command comes: the zero vector
+        st = self.st
+        st["duty"] = 0.5
+        st["enable"] = True
+        st["w_M"] = values["initial_speed_rpm"] * _TWO_PI / 60.0
+        st["theta_M"] = values["initial_angle"] % _TWO_PI
+
+    def apply(self, changes: Mapping[str, Any]) -> None:
+        """Take over changed parameters; they act from the next period on."""
+        for name, field in _LIVE.items():
+            if name in changes:
+                self.par[field] = changes[name]
+
+
+# live parameter -> field of PLANT_PAR
+_LIVE = {"load_torque": "tau_L", "dc_voltage": "u_dc", "noise.current_rms": "noise_rms"}
