@@ -16,7 +16,7 @@ setup(
     zip_safe=False,
     maintainer="MFPCC maintainers",
     maintainer_email="maintainers@example.org",
-    description="The drive controller: predictive current control schemes, speed loop and rotor observer, and one thin node around them",
+    description="The drive controller: schemes, speed loop and rotor observer, in one thin node",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

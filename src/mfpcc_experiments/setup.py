@@ -17,7 +17,7 @@ setup(
     zip_safe=False,
     maintainer="MFPCC maintainers",
     maintainer_email="maintainers@example.org",
-    description="Experiments with the drive: scenario, run, record, replay, metrics, figures and report, and the command mfpcc",
+    description="Experiments with the drive, and the command mfpcc",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -16,7 +16,7 @@ setup(
     zip_safe=False,
     maintainer="MFPCC maintainers",
     maintainer_email="maintainers@example.org",
-    description="The plant: two-level inverter, permanent-magnet synchronous machine, load and sensors, and one thin node around them",
+    description="The plant: inverter, machine, load and sensors, in one thin node",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [

@@ -16,6 +16,6 @@ setup(
     zip_safe=False,
     maintainer="MFPCC maintainers",
     maintainer_email="maintainers@example.org",
-    description="What a ROS 2 node at PWM rate needs: the wire format, the parameter table, life cycle, spinning and diagnostics",
+    description="What a ROS 2 node at PWM rate needs; knows nothing of motors",
     license="Apache-2.0",
 )

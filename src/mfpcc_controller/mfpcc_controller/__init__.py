@@ -1,1 +1,1 @@
-"""The drive controller: predictive current control schemes, speed loop and rotor observer, and one thin node around them."""
+"""The drive controller: schemes, speed loop and rotor observer, in one thin node."""

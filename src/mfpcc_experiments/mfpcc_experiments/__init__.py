@@ -1,1 +1,1 @@
-"""Experiments with the drive: scenario, run, record, replay, metrics, figures and report, and the command mfpcc."""
+"""Experiments with the drive, and the command mfpcc."""

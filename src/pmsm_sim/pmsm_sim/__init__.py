@@ -1,1 +1,1 @@
-"""The plant: two-level inverter, permanent-magnet synchronous machine, load and sensors, and one thin node around them."""
+"""The plant: inverter, machine, load and sensors, in one thin node."""

@@ -1,1 +1,1 @@
-"""What a ROS 2 node at PWM rate needs: the wire format, the parameter table, life cycle, spinning and diagnostics."""
+"""What a ROS 2 node at PWM rate needs; knows nothing of motors."""
