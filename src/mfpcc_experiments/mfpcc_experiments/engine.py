@@ -1,0 +1,175 @@
+"""The in-process engine: the whole closed loop compiled, without ROS.
+
+Plant and controller are the same kernels that the nodes call, on the same records, in the same
+order; so its result equals that of the ROS graph sample by sample.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfpcc_controller.drive import Controller, control
+from mfpcc_controller.parameters import TABLE as CONTROLLER
+from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
+from pmsm_sim.parameters import TABLE as PLANT
+from pmsm_sim.plant import Plant, advance, latch
+from pwm_node import schedule
+from pwm_node.compiled import kernel
+from pwm_node.wire import Wire, fixed_dtype
+
+# Periods per call of the compiled loop: long enough to hide the call, short enough for a
+# progress bar and for bounded memory.
+_CHUNK = 2_000
+
+# Periods per timed block of `step_time`: a single step is far shorter than the clock's resolution.
+_TIMED_BLOCK = 100
+
+
+@dataclass
+class Trace:
+    """What passed on the loop in n consecutive periods, one row each.
+
+    Attributes
+    ----------
+    feedback, command, lut, state : structured arrays, shape (n,)
+        The fixed parts of `PhaseFeedback`, `DutyCommand` (the command computed in that period),
+        `LutDiagnostics` and `DriveState`.
+    i_abc : float64 array, shape (n, 3 m)
+        Oversampled phase currents (A), m points per period.
+    legs : uint8 array, shape (n, m)
+    scheme : str
+        Who was in control.
+    """
+
+    feedback: NDArray[np.void]
+    command: NDArray[np.void]
+    lut: NDArray[np.void]
+    state: NDArray[np.void]
+    i_abc: NDArray[np.float64]
+    legs: NDArray[np.uint8]
+    scheme: str
+
+    @classmethod
+    def empty(cls, n: int, oversampling: int, scheme: str) -> Trace:
+        """Room for n periods."""
+        return cls(
+            feedback=np.zeros(n, fixed_dtype(PhaseFeedback)),
+            command=np.zeros(n, fixed_dtype(DutyCommand)),
+            lut=np.zeros(n, fixed_dtype(LutDiagnostics)),
+            state=np.zeros(n, fixed_dtype(DriveState)),
+            i_abc=np.zeros((n, 3 * oversampling)),
+            legs=np.zeros((n, oversampling), np.uint8),
+            scheme=scheme,
+        )
+
+
+@kernel
+def _loop(par, st, cfg, mem, cmd, feedback, command, lut, state, i_abc, legs):
+    """Closed loop over as many periods as the arrays have rows.
+
+    `cmd` carries the last command in and out.
+    """
+    for k in range(feedback.shape[0]):
+        latch(st, cmd)
+        fb_k, lut_k = feedback[k : k + 1], lut[k : k + 1]
+        advance(par, st, fb_k, state[k : k + 1], i_abc[k], legs[k])
+        control(cfg, mem, fb_k, cmd, lut_k, True)
+        command[k] = cmd[0]
+
+
+@kernel
+def _controller_block(cfg, mem, feedback, cmd, diag):
+    for k in range(feedback.shape[0]):
+        control(cfg, mem, feedback[k : k + 1], cmd, diag, True)
+
+
+class Engine:
+    """A closed loop of plant and controller.
+
+    Parameters
+    ----------
+    plant_values, controller_values : mapping
+        A value for every parameter of the two tables.
+
+    Raises
+    ------
+    pwm_node.schedule.ScheduleError, pwm_node.yaml_files.FileError
+        A schedule entry or a motor file that cannot be used.
+    """
+
+    def __init__(
+        self, plant_values: Mapping[str, Any], controller_values: Mapping[str, Any]
+    ) -> None:
+        self.plant = Plant(plant_values)
+        self.controller = Controller(controller_values)
+        T_s = 1.0 / plant_values["pwm_frequency"]
+        self._due = [
+            (period, part, changes)
+            for part, table, values in (
+                (self.plant, PLANT, plant_values),
+                (self.controller, CONTROLLER, controller_values),
+            )
+            for period, changes in schedule.parse(values["schedule"], table, T_s, values)
+        ]
+        self._due.sort(key=lambda item: item[0])
+        self._command = Wire(DutyCommand).fixed
+        self.period = 0
+
+    def run(self, periods: int) -> Iterator[Trace]:
+        """Advance by so many periods; yields what passed, piece by piece."""
+        end = self.period + periods
+        while self.period < end:
+            while self._due and self._due[0][0] <= self.period:
+                _, part, changes = self._due.pop(0)
+                part.apply(changes)
+            limit = min(end, self.period + _CHUNK)
+            if self._due:
+                limit = min(limit, self._due[0][0])
+            n = limit - self.period
+            trace = Trace.empty(n, self.plant.oversampling, self.controller.scheme)
+            _loop(
+                self.plant.par,
+                self.plant.st,
+                self.controller.cfg,
+                self.controller.mem,
+                self._command,
+                trace.feedback,
+                trace.command,
+                trace.lut,
+                trace.state,
+                trace.i_abc,
+                trace.legs,
+            )
+            self.period = limit
+            yield trace
+
+
+def step_time(controller: Controller, feedback: NDArray[np.void]) -> dict[str, float]:
+    """Time of one controller step inside compiled code (us), over blocks of the samples given.
+
+    Parameters
+    ----------
+    controller : Controller
+        A fresh one; its memory is used.
+    feedback : structured array, shape (n,)
+        Recorded samples.
+
+    Returns
+    -------
+    dict
+        `median` and `p99` over blocks of 100 steps.
+    """
+    command, lut = Wire(DutyCommand).fixed, Wire(LutDiagnostics).fixed
+    times = []
+    for start in range(0, len(feedback), _TIMED_BLOCK):
+        block = feedback[start : start + _TIMED_BLOCK]
+        begin = time.perf_counter_ns()
+        _controller_block(controller.cfg, controller.mem, block, command, lut)
+        times.append((time.perf_counter_ns() - begin) / len(block) * 1e-3)
+    return {"median": float(np.median(times)), "p99": float(np.percentile(times, 99))}
