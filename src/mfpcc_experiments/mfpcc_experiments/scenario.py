@@ -210,13 +210,13 @@ def _yaml_scalar(value: Any) -> str:
     return text.removesuffix("\n").removesuffix("\n...")
 
 
-def load(name_or_path: str) -> Scenario:
+def load(name_or_path: str | Path) -> Scenario:
     """
     Read a scenario.
 
     Parameters
     ----------
-    name_or_path : str
+    name_or_path : str or Path
         A name of `config/experiments`, or the path of a file.
 
     Raises
@@ -226,4 +226,4 @@ def load(name_or_path: str) -> Scenario:
     """
     path = yaml_files.find("experiments", name_or_path)
     scenario = yaml_files.load(path, Scenario)
-    return scenario if scenario.name else scenario.model_copy(update={"name": Path(path).stem})
+    return scenario if scenario.name else scenario.model_copy(update={"name": path.stem})

@@ -1,0 +1,42 @@
+"""A progress bar for work of several steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+#: Told now and then how much of a step is done, in the step's own unit.
+Tell = Callable[[float], None]
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], Tell]]:
+    """
+    Show progress on stderr while the work lasts.
+
+    Yields
+    ------
+    callable
+        Begins a step: `step(name, total)` returns what is to be told how much of the total is
+        done. The step before is finished with it.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+
+        def step(name: str, total: float) -> Tell:
+            for task in bar.tasks:
+                bar.update(task.id, completed=task.total)
+            identity = bar.add_task(name, total=total)
+            return lambda done: bar.update(identity, completed=done)
+
+        yield step
+        for task in bar.tasks:
+            bar.update(task.id, completed=task.total)

@@ -1,0 +1,79 @@
+"""A folder of results that appears whole or not at all, and overwrites nothing by accident."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+#: The file that every folder of results has, and by which it is known as one.
+MARK = "metrics.json"
+
+
+class ResultFolderError(ValueError):
+    """A place where the results cannot go; the text says why and what to do."""
+
+
+@contextmanager
+def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
+    """
+    Make a folder of results: work in a neighbour of it, which then takes its place.
+
+    Parameters
+    ----------
+    path : Path
+        Where the results shall be.
+    force : bool
+        Replace results that are there already. Anything else is never replaced.
+
+    Yields
+    ------
+    Path
+        The folder to work in, `<path>.partial-<process>`. If the work fails it is removed, unless
+        there are recordings in it: those may be all that is left of a long run.
+
+    Raises
+    ------
+    ResultFolderError
+        Before any work is done, if `path` may not be written to.
+    """
+    _check(path, force)
+    path = path.resolve()  # of a link, the folder it leads to is replaced, not the link
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.partial-{os.getpid()}")
+    partial.mkdir()
+    try:
+        yield partial
+        _check(path, force)  # the work took its time: the folder may have appeared since
+    except BaseException:
+        if not any(partial.rglob("*.mcap")):
+            shutil.rmtree(partial, ignore_errors=True)
+        raise
+    if path.exists():
+        # Two renames, so that there is never a folder with something of both.
+        replaced = path.with_name(f"{path.name}.replaced-{os.getpid()}")
+        path.rename(replaced)
+        partial.rename(path)
+        shutil.rmtree(replaced)
+    else:
+        partial.rename(path)
+
+
+def _check(path: Path, force: bool) -> None:
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise ResultFolderError(f"{path} is a file: choose another folder with --out")
+    if path.resolve() == Path.cwd() or path.resolve() in Path.cwd().parents:
+        raise ResultFolderError(f"{path} is where you are: choose a folder below it with --out")
+    if not any(path.iterdir()):
+        return
+    if not (path / MARK).is_file():
+        raise ResultFolderError(
+            f"{path} holds something else than results (it has no {MARK}): "
+            "choose another folder with --out"
+        )
+    if not force:
+        raise ResultFolderError(f"{path} exists: replace it with --force, or choose another --out")

@@ -1,0 +1,50 @@
+"""`mfpcc compare`: metrics, figures and a report from recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+@click.command(short_help="Compare recordings: table, figures and report.")
+@click.argument("bags", metavar="BAG...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/compare"),
+    show_default=True,
+    help="Folder for the results.",
+)
+@click.option("--force", is_flag=True, help="Replace results that are there already.")
+def command(bags: tuple[Path, ...], out: Path, force: bool) -> None:
+    """Compare recordings: a table, and metrics.json, report.html and figures in a folder.
+
+    BAG is a recording (its folder or its .mcap file), or a folder with recordings in it, as
+    `mfpcc run` leaves it.
+    """
+    from mfpcc_experiments import compare
+    from mfpcc_experiments.progress import progress_bar
+    from mfpcc_experiments.result_folder import result_folder
+
+    recordings = [recording for bag in bags for recording in _recordings(bag)]
+    with result_folder(out, force=force) as folder:
+        with progress_bar() as begin:
+            rows = compare.compare(recordings, folder, progress=begin("compare", 1.0))
+    show(rows, out)
+
+
+def show(rows: list[dict[str, Any]], out: Path) -> None:
+    """Print the table of metrics, and where the report is."""
+    from mfpcc_experiments import compare
+
+    compare.print_table(rows)
+    click.echo(f"report: {out / 'report.html'}")
+
+
+def _recordings(path: Path) -> list[Path]:
+    """The recordings in a folder of results, or else what was given: reading it says what it is."""
+    if not path.is_dir() or any(path.glob("*.mcap")):
+        return [path]
+    return sorted({file.parent for file in path.glob("*/*.mcap")}) or [path]

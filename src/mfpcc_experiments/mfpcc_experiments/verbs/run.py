@@ -1,0 +1,104 @@
+"""`mfpcc run`: one recording per scheme, then the comparison."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mfpcc_experiments.verbs.compare import show
+
+if TYPE_CHECKING:
+    from mfpcc_experiments.scenario import Scenario
+
+ENGINES = ("ros", "inprocess")
+
+
+@click.command(short_help="Run an experiment with one or more schemes, and compare.")
+@click.argument("experiment")
+@click.option(
+    "--scheme",
+    "schemes",
+    multiple=True,
+    metavar="NAME",
+    help="Scheme to run; may be given several times.  [default: all there are]",
+)
+@click.option(
+    "--engine",
+    default="ros",
+    show_default=True,
+    metavar="|".join(ENGINES),
+    help="Real nodes on a real graph, or the same plant and schemes without ROS.",
+)
+@click.option("--separate", is_flag=True, help="Plant and controller as two processes.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for recordings and results.  [default: out/EXPERIMENT]",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all noise."
+)
+@click.option("--force", is_flag=True, help="Replace results that are there already.")
+def command(
+    experiment: str,
+    schemes: tuple[str, ...],
+    engine: str,
+    separate: bool,
+    out: Path | None,
+    seed: int,
+    force: bool,
+) -> None:
+    """Run EXPERIMENT (a name of `mfpcc list`, or a file) once per scheme, and compare.
+
+    The folder then holds one recording per scheme, metrics.json, report.html and figures.
+    """
+    from mfpcc_controller.parameters import SCHEMES
+    from mfpcc_experiments import scenario
+    from mfpcc_experiments.result_folder import result_folder
+    from pwm_node import yaml_files
+    from pwm_node.names import unknown
+    from pwm_node.parameters import ParameterError
+
+    context = click.get_current_context()
+    if engine not in ENGINES:
+        raise click.UsageError(unknown("engine", engine, ENGINES), context)
+    if separate and engine != "ros":
+        raise click.UsageError("--separate starts two ROS processes: --engine ros only", context)
+    try:
+        path = yaml_files.find("experiments", experiment)
+    except yaml_files.FileError as error:
+        raise click.UsageError(str(error), context) from None
+    wanted = scenario.load(path)
+    schemes = tuple(dict.fromkeys(schemes)) or SCHEMES
+    try:
+        for scheme in schemes:
+            wanted.node_parameters(scheme, seed)
+    except ParameterError as error:
+        raise click.UsageError(error.reason, context) from None
+
+    out = out or Path("out") / wanted.name
+    with result_folder(out, force=force) as folder:
+        rows = _run_and_compare(wanted, schemes, engine, separate, folder, seed)
+    show(rows, out)
+
+
+def _run_and_compare(
+    scenario: Scenario,
+    schemes: tuple[str, ...],
+    engine: str,
+    separate: bool,
+    folder: Path,
+    seed: int,
+) -> list[dict[str, Any]]:
+    """Record each scheme into `<folder>/<scheme>` and compare them, with a progress bar."""
+    from mfpcc_experiments import compare, run
+    from mfpcc_experiments.progress import progress_bar
+
+    with progress_bar() as begin:
+        for scheme in schemes:
+            progress = begin(scheme, scenario.periods)
+            run.run(scenario, scheme, engine, folder, seed, progress, separate=separate)
+        bags = [folder / scheme for scheme in schemes]
+        return compare.compare(bags, folder, progress=begin("compare", 1.0))
