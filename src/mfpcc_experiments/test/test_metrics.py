@@ -1,0 +1,154 @@
+"""The definitions of the metrics, on synthetic signals with known answers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mfpcc_experiments import metrics
+
+T_S = 1e-4
+
+
+def angle(n, frequency, factor=1, phase=0.3):
+    """Electrical angle of a constant frequency (Hz) at n samples."""
+    return phase + 2 * math.pi * frequency * T_S / factor * np.arange(n)
+
+
+def test_thd_of_known_harmonics():
+    theta = angle(2000, 50.0)
+    x = 0.7 + 8.0 * np.cos(theta) + 0.4 * np.cos(5 * theta + 1.0) + 0.3 * np.sin(7 * theta)
+    assert metrics.thd(x, theta) == pytest.approx(0.5 / 8.0, rel=1e-9)
+
+
+def test_dc_is_excluded():
+    theta = angle(2000, 50.0)
+    assert metrics.thd(3.0 + np.cos(theta), theta) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_inter_harmonics_and_noise_count():
+    theta = angle(4000, 50.0)
+    noise = np.random.default_rng(1).normal(0.0, 0.05, 4000)
+    x = 2.0 * np.cos(theta) + 0.1 * np.cos(2.5 * theta) + noise
+    expected = math.sqrt(2 * (0.1**2 / 2 + 0.05**2)) / 2.0
+    assert metrics.thd(x, theta) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("frequency", [49.993, 50.007, 47.3, 33.3, 211.7])
+def test_nothing_leaks_when_periods_do_not_fit_the_samples(frequency):
+    theta = angle(2000, frequency)
+    assert metrics.thd(8.0 * np.cos(theta - 0.4), theta) < 1e-9
+    x = 8.0 * np.cos(theta) + 0.08 * np.cos(11 * theta)
+    assert metrics.thd(x, theta) == pytest.approx(0.01, rel=0.02)
+
+
+def test_a_drifting_speed_is_no_distortion():
+    n = np.arange(2000)
+    theta = 2 * math.pi * (50.0 * T_S * n + 20.0 * (T_S * n) ** 2)  # 50 -> 58 Hz within 0.2 s
+    assert metrics.thd(8.0 * np.cos(theta), theta) < 1e-9
+
+
+def test_turning_backwards_is_the_same():
+    theta = angle(2000, 50.0)
+    x = 8.0 * np.cos(theta) + 0.4 * np.cos(3 * theta)
+    assert metrics.thd(x, -theta) == pytest.approx(0.05, rel=1e-6)
+
+
+def test_the_window_is_cut_to_whole_periods():
+    part = metrics.fundamental(np.cos(angle(2150, 50.0)), angle(2150, 50.0))
+    assert (part.periods, part.samples) == (10, 2000)
+    part = metrics.fundamental(np.cos(angle(2000, 49.99)), angle(2000, 49.99))
+    assert part.periods == 10  # short by a fifth of a sample: ten periods, not nine
+
+
+@pytest.mark.parametrize("frequency", [0.0, 1.0])
+def test_no_whole_period_gives_no_thd(frequency):
+    theta = angle(2000, frequency)
+    assert metrics.thd(np.cos(theta), theta) is None
+
+
+def test_the_spectrum_shows_what_the_thd_counts():
+    rng = np.random.default_rng(2)
+    theta = angle(2000, 50.0)
+    x = 8.0 * np.cos(theta) + 0.4 * np.cos(5 * theta) + rng.normal(0.0, 0.1, 2000)
+    part = metrics.fundamental(x, theta)
+    frequency, amplitude = metrics.spectrum(part, 1 / T_S)
+    assert frequency[amplitude == 1.0] == pytest.approx([50.0])
+    assert amplitude[np.searchsorted(frequency, 249.0)] == pytest.approx(0.05, rel=0.1)
+    content = math.sqrt(np.sum(np.square(amplitude[amplitude < 1.0])))
+    assert content == pytest.approx(part.thd, rel=1e-3)
+
+
+def test_quantisation_of_the_encoder_is_no_distortion():
+    theta_M = angle(2000, 12.5)
+    step = 2 * math.pi / 4096
+    measured = np.floor((theta_M % (2 * math.pi)) / step) * step
+    theta = 4 * metrics.smooth_angle(metrics.unwrap(measured), 100)
+    x = 8.0 * np.cos(4 * theta_M)
+    assert metrics.thd(x, theta) < 4e-4
+    assert metrics.thd(x, 4 * metrics.unwrap(measured)) > 1.5e-3  # what it would have been
+
+
+def test_smoothing_keeps_an_acceleration():
+    t = T_S * np.arange(5000)
+    theta = 50.0 * t + 0.5 * 400.0 * t**2
+    assert metrics.smooth_angle(theta, 100) == pytest.approx(theta, abs=1e-9)
+
+
+def test_oversampled_angle():
+    theta = np.array([0.0, 0.4, 0.8])
+    fine = metrics.oversample_angle(theta, 4)
+    assert fine == pytest.approx(0.1 * np.arange(12))
+
+
+def test_to_dq_is_amplitude_invariant_and_drops_zero_sequence():
+    theta = angle(400, 50.0)
+    phases = theta[:, None] - 2 * math.pi / 3 * np.arange(3)
+    i_abc = -5.0 * np.sin(phases) + 1.5 * np.cos(phases) + 0.7
+    assert metrics.to_dq(i_abc, theta) == pytest.approx(np.full(400, 1.5 + 5.0j))
+
+
+def test_ripple():
+    theta = angle(2000, 50.0)
+    x = 4.0 + 0.15 * np.sin(20 * theta)
+    assert metrics.ripple_pp(x) == pytest.approx(0.3, rel=1e-2)
+    assert metrics.ripple_rms(x) == pytest.approx(0.15 / math.sqrt(2), rel=1e-3)
+
+
+def test_settling_and_overshoot():
+    n = np.arange(200)
+    x = 1.0 + 2.0 * (1.0 - np.exp(-n / 10.0))
+    response = metrics.step_response(x, 1.0, 3.0)
+    assert response.settling == math.ceil(10.0 * math.log(20.0))
+    assert response.overshoot == 0.0
+    x = 3.0 - 2.0 * np.exp(-n / 10.0) * np.cos(n / 5.0)
+    assert metrics.step_response(x, 1.0, 3.0).overshoot == pytest.approx(
+        -np.min(np.exp(-n / 10.0) * np.cos(n / 5.0))
+    )
+    downwards = metrics.step_response(-x, -1.0, -3.0)
+    assert downwards == metrics.step_response(x, 1.0, 3.0)
+
+
+def test_a_response_that_leaves_the_band_again_has_not_settled():
+    x = np.ones(100)
+    x[40] = 1.06
+    assert metrics.step_response(x, 0.0, 1.0).settling == 41
+    x[-1] = np.nan
+    assert metrics.step_response(x, 0.0, 1.0).settling is None
+
+
+def test_switching_frequency():
+    duty = np.full((1000, 3), 0.5)
+    assert metrics.switching_frequency(duty, T_S) == pytest.approx(10e3)
+    duty[:, 2] = 1.0  # one leg clamped
+    assert metrics.switching_frequency(duty, T_S) == pytest.approx(10e3 * 2 / 3)
+    single = np.zeros((1000, 3))
+    single[::2] = 1.0  # whole-period vectors, changing every period
+    assert metrics.switching_frequency(single, T_S) == pytest.approx(5e3, rel=2e-3)
+
+
+def test_window_rows():
+    period = np.arange(100, 400, dtype=np.uint64)
+    rows = metrics.window_rows(period, (0.02, 0.03), T_S)
+    assert (period[rows][0], period[rows][-1], rows.stop - rows.start) == (200, 299, 100)
+    assert metrics.window_rows(period, (0.0, 10.0), T_S) == slice(0, 300)
