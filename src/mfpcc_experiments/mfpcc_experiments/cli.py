@@ -26,8 +26,8 @@ PROGRAM = "mfpcc"
 # Errors whose text is written for the user. They are known by name, since importing the modules
 # they come from takes longer than most commands.
 _FOR_PEOPLE = {
-    "mfpcc_experiments.cli.UserError",
     "mfpcc_experiments.bag.BagError",
+    "mfpcc_experiments.drive.DriveError",
     "mfpcc_experiments.metrics.MetricsError",
     "mfpcc_experiments.result_folder.ResultFolderError",
     "pwm_node.parameters.ParameterError",
@@ -36,10 +36,6 @@ _FOR_PEOPLE = {
 }
 # What is missing when nobody has sourced the workspace.
 _FROM_ROS = {"ament_index_python", "mfpcc_msgs", "rclpy", "rpyutils", "rosidl_runtime_py"}
-
-
-class UserError(Exception):
-    """Something that the user has to know and can act on; the text says what and how."""
 
 
 class Verbs(click.Group):

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 #: Told now and then how much of a step is done, in the step's own unit.
-Tell = Callable[[float], None]
+Progress = Callable[[float], None]
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], Tell]]:
+def progress_bar() -> Iterator[Callable[[str, float], Progress]]:
     """
     Show progress on stderr while the work lasts.
 
@@ -20,18 +20,18 @@ def progress_bar() -> Iterator[Callable[[str, float], Tell]]:
         Begins a step: `step(name, total)` returns what is to be told how much of the total is
         done. The step before is finished with it.
     """
+    from rich import progress
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     columns = (
-        TextColumn("{task.description:<12}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
+        progress.TextColumn("{task.description:<12}"),
+        progress.BarColumn(),
+        progress.TaskProgressColumn(),
+        progress.TimeElapsedColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
 
-        def step(name: str, total: float) -> Tell:
+        def step(name: str, total: float) -> Progress:
             for task in bar.tasks:
                 bar.update(task.id, completed=task.total)
             identity = bar.add_task(name, total=total)
