@@ -1,0 +1,179 @@
+"""One experiment with one scheme, on either engine, into one recording."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfpcc_controller.drive import Controller
+from mfpcc_experiments.bag import BagWriter
+from mfpcc_experiments.engine import Engine, Trace, step_time
+from mfpcc_experiments.progress import Tell
+from mfpcc_experiments.scenario import Scenario
+from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
+from pmsm_sim import motor
+from pwm_node.wire import Wire
+
+# Distributions whose version can change a result.
+_DISTRIBUTIONS = (
+    "pmsm_sim",
+    "mfpcc_controller",
+    "mfpcc_experiments",
+    "pwm_node",
+    "numpy",
+    "numba",
+    "ros-rclpy",
+)
+
+
+def configuration(
+    scenario: Scenario, scheme: str, engine: str, seed: int
+) -> dict[str, Any]:
+    """All that a run can be repeated from: it is stored inside the recording."""
+    plant, controller = scenario.node_parameters(scheme, seed)
+    machine = motor.load(scenario.motor)
+    return {
+        "experiment": scenario.name,
+        "scheme": scheme,
+        "motor": machine.name,
+        "engine": engine,
+        "seed": seed,
+        "T_s": 1.0 / scenario.pwm_frequency,
+        "window_s": list(scenario.window_s),
+        "n_p": machine.n_p,
+        "R_s": machine.R_s,
+        "scenario": scenario.model_dump(mode="json"),
+        "parameters": {"pmsm_sim": plant, "mfpcc_controller": controller},
+        "motor_file": machine.model_dump(mode="json"),
+        "versions": _versions(),
+    }
+
+
+def run(
+    scenario: Scenario,
+    scheme: str,
+    engine: str,
+    folder: Path,
+    seed: int,
+    progress: Tell,
+    *,
+    separate: bool = False,
+) -> None:
+    """Record the experiment into `<folder>/<scheme>`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The experiment.
+    scheme : str
+        Who controls the current at the start.
+    engine : str
+        `ros`: the real graph; `inprocess`: the same kernels without it.
+    folder : Path
+        Where the recording goes.
+    seed : int
+        Seed of all noise.
+    progress : callable
+        Told the number of periods done, now and then.
+    separate : bool
+        Plant and controller as two processes (engine `ros`).
+
+    Raises
+    ------
+    mfpcc_experiments.bag.BagError
+        If the recording cannot be written.
+    mfpcc_experiments.drive.DriveError
+        If the graph does not run to the end, or messages are lost (engine `ros`).
+    """
+    config = configuration(scenario, scheme, engine, seed)
+    if engine == "inprocess":
+        _run_inprocess(config, folder / scheme, scenario.periods, progress)
+        return
+    # rclpy is needed for this engine only
+    from mfpcc_experiments import drive
+
+    record = drive.record_separate if separate else drive.record_composed
+    record(config, folder / scheme, scenario.periods, progress)
+
+
+def _run_inprocess(config: dict[str, Any], path: Path, periods: int, progress: Tell) -> None:
+    plant, controller = (config["parameters"][n] for n in ("pmsm_sim", "mfpcc_controller"))
+    engine = Engine(plant, controller)
+    samples = []
+    with BagWriter(path, config=config, oversampling=plant["oversampling"]) as writer:
+        for trace in engine.run(periods):
+            write_trace(writer, trace)
+            samples.append(trace.feedback)
+            progress(engine.period)
+        timing = step_time(Controller(controller), np.concatenate(samples))
+        writer.close({"step_time_us": timing, "lost_periods": 0})
+
+
+def write_trace(writer: BagWriter, trace: Trace) -> None:
+    """Append a piece of an in-process run to a recording, in the order of the real loop."""
+    streams = (
+        ("phase_feedback", _serialized(Wire(PhaseFeedback), trace.feedback)),
+        (
+            "drive_state",
+            _serialized(
+                Wire(
+                    DriveState,
+                    i_abc_oversampled=trace.i_abc.shape[1],
+                    legs_oversampled=trace.legs.shape[1],
+                ),
+                trace.state,
+                i_abc_oversampled=trace.i_abc,
+                legs_oversampled=trace.legs,
+            ),
+        ),
+        ("duty_command", _serialized(Wire(DutyCommand), trace.command)),
+        ("lut_diagnostics", _serialized(_with_scheme(trace.scheme), trace.lut)),
+    )
+    times = {
+        "phase_feedback": stamps(trace.feedback),
+        "drive_state": stamps(trace.state),
+        "duty_command": stamps(trace.command),
+        "lut_diagnostics": stamps(trace.lut),
+    }
+    for k in range(len(trace.feedback)):
+        for topic, messages in streams:
+            writer.write(topic, int(times[topic][k]), next(messages))
+
+
+def stamps(rows: NDArray[np.void]) -> NDArray[np.int64]:
+    """Stamps of messages in ns."""
+    nanoseconds: NDArray[np.int64] = rows["stamp"]["sec"].astype(np.int64) * 1_000_000_000
+    return nanoseconds + rows["stamp"]["nanosec"]
+
+
+def _serialized(wire: Wire, rows: NDArray[np.void], **tails: NDArray[Any]) -> Iterator[bytes]:
+    names = rows.dtype.names or ()
+    for k in range(len(rows)):
+        for name in names:
+            wire.fixed[name][0] = rows[name][k]
+        for name, values in tails.items():
+            wire.tail[name][:] = values[k]
+        yield wire.to_bytes()
+
+
+def _with_scheme(scheme: str) -> Wire:
+    wire = Wire(LutDiagnostics)
+    wire.set_string("scheme", scheme)
+    return wire
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in _DISTRIBUTIONS:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            # a plain ROS installation does not know all of them by these names
+            continue
+    return versions
