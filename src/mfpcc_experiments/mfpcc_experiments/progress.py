@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 #: Told now and then how much of a step is done, in the step's own unit.
-Progress = Callable[[float], None]
+Tell = Callable[[float], None]
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], Progress]]:
+def progress_bar() -> Iterator[Callable[[str, float], Tell]]:
     """
     Show progress on stderr while the work lasts.
 
@@ -31,7 +31,7 @@ def progress_bar() -> Iterator[Callable[[str, float], Progress]]:
     )
     with progress.Progress(*columns, console=Console(stderr=True)) as bar:
 
-        def step(name: str, total: float) -> Progress:
+        def step(name: str, total: float) -> Tell:
             for task in bar.tasks:
                 bar.update(task.id, completed=task.total)
             identity = bar.add_task(name, total=total)
