@@ -25,6 +25,10 @@ source "$_mfpcc_root/.venv/bin/activate"
 source "$_mfpcc_root/install/setup.bash"
 if [[ -n "$_mfpcc_nounset" ]]; then set -u; fi
 
+# The ROS 2 wheels set their library path at the start of each Python, unless this says that it is
+# set; inherited from another environment's Python, it would be that one's path.
+unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
 # `ros2 pkg`, `ros2 interface` and our own look-ups find the wheels' packages by this.
 if [[ -d "$VIRTUAL_ENV/share/ament_index" && ":${AMENT_PREFIX_PATH:-}:" != *":$VIRTUAL_ENV:"* ]]; then
     export AMENT_PREFIX_PATH="${AMENT_PREFIX_PATH:+$AMENT_PREFIX_PATH:}$VIRTUAL_ENV"

@@ -18,7 +18,8 @@ lock() { # OUTPUT INPUT...
 }
 
 # All at once first, so that the parts, which share packages, agree on every version.
-lock "$scratch/all.txt" seed.in run.in dev.in ros.in
+lock "$scratch/all.txt" seed.in run.in dev.in ros.in bench.in
 lock seed.txt seed.in --constraint "$scratch/all.txt"
 lock run.txt run.in dev.in --constraint "$scratch/all.txt"
 lock ros.txt ros.in --constraint "$scratch/all.txt"
+lock bench.txt bench.in --constraint "$scratch/all.txt"

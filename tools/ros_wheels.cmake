@@ -9,9 +9,7 @@ if(NOT EXISTS "$ENV{VIRTUAL_ENV}/share/ament_index/resource_index/packages/rclpy
 endif()
 
 # 1. The generators ask the ament index for each other, so it must know where the wheels are.
-if(NOT ":$ENV{AMENT_PREFIX_PATH}:" MATCHES ":$ENV{VIRTUAL_ENV}:")
-  set(ENV{AMENT_PREFIX_PATH} "$ENV{VIRTUAL_ENV}:$ENV{AMENT_PREFIX_PATH}")
-endif()
+set(ENV{AMENT_PREFIX_PATH} "$ENV{VIRTUAL_ENV}:$ENV{AMENT_PREFIX_PATH}")
 
 # 2. The targets that the wheels export name include folders of the machine they were built on
 # (/opt/python/cp3xx-...), and CMake refuses folders that do not exist. The generators use the

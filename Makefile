@@ -1,0 +1,51 @@
+# Everything one types; `make` alone lists it. Each target does the set-up that it needs and that
+# is missing: tools/set_up.py says how that is known.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+SET_UP := tools/set_up.sh
+IN_ENVIRONMENT := source ./setup.bash;
+
+# The interpreter to make the environment of; without it the best one that is found.
+export PYTHON
+
+.PHONY: help
+help:  ## what there is
+	@echo "make TARGET"
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1|\2/p' Makefile | column -t -s '|'
+
+.PHONY: setup
+setup:  ## the Python environment .venv, ROS 2 included (PYTHON=python3.12 chooses the Python)
+	@$(SET_UP) environment
+
+.PHONY: build
+build:  ## that, and the packages of the workspace; then `source setup.bash`
+	@$(SET_UP) workspace
+
+.PHONY: demo
+demo: build  ## one experiment with three schemes, recorded and compared: out/demo/report.html
+	$(IN_ENVIRONMENT) mfpcc run steady_750_2 --scheme mbpcc --scheme mfpcc --scheme mls_mfpcc \
+	    --out out/demo --force
+
+.PHONY: test
+test: build  ## all tests; with ARGS='-k wire' those that you name
+	$(IN_ENVIRONMENT) python -m pytest $(ARGS)
+
+.PHONY: bench
+bench:  ## every speed figure, beside its reference, measured now
+	@$(SET_UP) bench
+	$(IN_ENVIRONMENT) python bench $(ARGS)
+
+.PHONY: lint
+lint: setup  ## ruff and mypy
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy
+
+.PHONY: clean
+clean:  ## remove what setup and build made; bags/ and out/ stay
+	rm -rf .venv build install log .set-up.lock .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find src test tools bench config -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
