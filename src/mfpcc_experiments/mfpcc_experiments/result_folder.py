@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import click
+
 #: The file that every folder of results has, and by which it is known as one.
 MARK = "metrics.json"
 
@@ -48,7 +50,9 @@ def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
         yield partial
         _check(path, force)  # the work took its time: the folder may have appeared since
     except BaseException:
-        if not any(partial.rglob("*.mcap")):
+        if any(partial.rglob("*.mcap")):
+            click.echo(f"what was recorded until then is kept in {partial}", err=True)
+        else:
             shutil.rmtree(partial, ignore_errors=True)
         raise
     if path.exists():

@@ -210,7 +210,10 @@ def test_an_unexpected_error_is_one_line_and_the_traceback_goes_to_a_file(
 def test_an_error_of_the_system_is_no_bug(fake: Fake, capsys: pytest.CaptureFixture[str]) -> None:
     fake.failure = OSError(errno.ENOSPC, "No space left on device", "some.mcap")
     assert mfpcc("run load_step") == 1
-    assert "mfpcc: some.mcap: No space left on device\n" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "mfpcc: some.mcap: No space left on device\n" in error
+    (kept,) = Path("out").iterdir()
+    assert f"is kept in {kept.resolve()}" in error
 
 
 def test_without_the_workspace_it_says_what_to_source(
