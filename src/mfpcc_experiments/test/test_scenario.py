@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
 import pytest
 
+from mfpcc_controller import motor as nominal_motor
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments import scenario
+from pmsm_sim import motor
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import schedule, yaml_files
 from pwm_node.parameters import ParameterError
@@ -73,6 +76,18 @@ def test_mismatch_is_the_papers(name: str, ratios: tuple[float, float, float]) -
     _, controller = scenario.load(name).node_parameters("mbpcc", 0)
     found = [controller[f"mismatch.{part}"] for part in ("inductance", "resistance", "flux")]
     assert found == list(ratios)
+
+
+@pytest.mark.parametrize("name", ["ipmsm", "seed_750", "textbook_spmsm"])
+def test_motor_files_serve_both_nodes_and_ask_for_no_more_than_the_inverter_has(name: str) -> None:
+    machine = motor.load(name)
+    assert machine.name == name
+    nominal = nominal_motor.load(name).model_dump()
+    assert nominal == {key: getattr(machine, key) for key in nominal}
+    w_m = machine.n_p * machine.speed_max_rpm * math.pi / 30
+    u_d = -w_m * machine.L_q * machine.i_max  # with i_d = 0
+    u_q = machine.R_s * machine.i_max + w_m * machine.psi_f
+    assert math.hypot(u_d, u_q) < machine.u_dc / math.sqrt(3)
 
 
 def test_node_parameters_are_complete_and_each_goes_to_its_node(tmp_path: Path) -> None:
