@@ -26,7 +26,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, NoReturn
 from xml.etree import ElementTree
@@ -138,6 +138,7 @@ def _make_environment(lock: IO[str]) -> None:
 
 
 def _make_workspace(lock: IO[str]) -> None:
+    _look_for_compiler()
     old, new = _read(WORKSPACE_STAMP), _workspace_stamp()
     WORKSPACE_STAMP.unlink(missing_ok=True)
     packages: dict[str, str] = new["packages"]
@@ -153,8 +154,6 @@ def _make_workspace(lock: IO[str]) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
     print(f"set-up: workspace ({', '.join(changed) or 'nothing to build'})", flush=True)
-    if "mfpcc_msgs" in changed:
-        _look_for_compiler()
     if changed:
         colcon = (VENV / "bin/python", "-m", "colcon", "build")
         options = ("--event-handlers", "console_direct+", "--packages-select", *changed)
@@ -304,13 +303,13 @@ def _run(
             code = process.wait()
         except BaseException:
             print(" broken off", flush=True)
-            os.killpg(process.pid, signal.SIGTERM)
-            process.wait()
+            _end(process)
             raise
         if code == 0:
             print(f" {time.monotonic() - begin:.0f} s", flush=True)
             return
         print(" failed", flush=True)
+        _end(process)
         output.seek(0)
         sys.stdout.write(output.read())
         sys.stdout.flush()
@@ -319,6 +318,13 @@ def _run(
         "not used: when the cause is mended, call make again.\n"
         f"  {' '.join(str(argument) for argument in command)}"
     )
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a step and all that it started, some of which may outlive it."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 @contextmanager
