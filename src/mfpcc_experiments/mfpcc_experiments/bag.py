@@ -90,9 +90,8 @@ class BagError(Exception):
 
 _FIELD = re.compile(r"^\s*([A-Za-z0-9_/]+)(?:\[[^\]]*\])?\s+[A-Za-z]", re.MULTILINE)
 _PRIMITIVES = frozenset(
-    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 string "
-    "wstring".split()
-)
+    f"{kind}{bits}" for kind in ("int", "uint", "float") for bits in (8, 16, 32, 64)
+) | {"bool", "byte", "char", "string", "wstring"}
 
 
 def _share(type_name: str, suffix: str) -> Path:
@@ -419,7 +418,7 @@ def bag_metadata(sink: McapSink, custom: Mapping[str, str]) -> dict[str, Any]:
                     "name": channel.topic,
                     "type": sink.schemas[channel.schema_id].name,
                     "serialization_format": channel.message_encoding,
-                    "offered_qos_profiles": [_QOS],
+                    "offered_qos_profiles": _qos(channel),
                     "type_description_hash": channel.metadata.get("topic_type_hash", ""),
                 },
                 "message_count": counts[cid],
@@ -440,6 +439,15 @@ def bag_metadata(sink: McapSink, custom: Mapping[str, str]) -> dict[str, Any]:
         "custom_data": dict(custom),
         "ros_distro": os.environ.get("ROS_DISTRO") or "jazzy",
     }
+
+
+def _qos(channel: Channel) -> list[Any]:
+    """QoS profiles stored with a channel; a file to be repaired may hold anything there."""
+    try:
+        profiles = yaml.safe_load(channel.metadata.get("offered_qos_profiles", ""))
+    except yaml.YAMLError:
+        return []
+    return profiles if isinstance(profiles, list) else []
 
 
 def finish_bag(sink: McapSink, summary: Mapping[str, Any], custom: Mapping[str, str]) -> int:
@@ -523,7 +531,7 @@ def new_folder(path: Path, *, force: bool) -> None:
 
 
 def _part_of_a_bag(path: Path) -> bool:
-    return path.suffix == ".mcap" or path.name in ("metadata.yaml", ".metadata.yaml")
+    return path.suffix in (".mcap", ".damaged") or path.name in ("metadata.yaml", ".metadata.yaml")
 
 
 class _Topic:

@@ -1,0 +1,283 @@
+"""Reading bags into arrays: completeness, and files of others, cut, damaged or foreign."""
+
+import random
+import shutil
+import struct
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from mfpcc_experiments import bag, metrics, recording, recover
+
+
+def test_arrays_hold_what_was_written(make_bag):
+    found = recording.read(make_bag(periods=1500, oversampling=5))
+    assert found.T_s == 1e-4 and found.n_p == 4 and found.window_s == (0.1, 0.3)
+    assert found.feedback["period"].tolist() == list(range(1500))
+    assert found.command["period"].tolist() == list(range(1, 1501))
+    assert found.command["duty"][7].tolist() == [0.4, 0.5, 0.6]
+    assert found.lut["prediction_error"][3].tolist() == [0.05, -0.1]
+    assert found.state["torque"][-1] == 2.5
+    assert found.feedback["stamp"]["nanosec"][12] == 1_200_000
+    assert set(found.scheme) == {"mls_mfpcc"} and len(found.scheme) == 1500
+    assert found.oversampling == 5 and found.i_abc_oversampled.shape == (1500, 5, 3)
+    first = [found.feedback[name] for name in ("i_a", "i_b", "i_c")]
+    assert np.array_equal(found.i_abc_oversampled[:, 0], np.stack(first, axis=1))
+    assert found.legs_oversampled[9].tolist() == [1] * 5
+    assert found.lost_periods == 0 and found.problems == []
+    assert found.summary["step_time_us"]["median"] == 3.0
+
+
+def test_a_change_of_scheme_is_seen_row_by_row(make_bag, drive_messages):
+    parts = [("mfpcc", 0), ("mbpcc", 40), ("mls_mfpcc", 100)]
+    source = (m for name, at in parts for m in drive_messages(50, first=at, scheme=name))
+    found = recording.read(make_bag(source=source, config={}))
+    assert found.scheme.tolist()[:41] == ["mfpcc"] * 40 + ["mbpcc"] or len(found.problems)
+    assert found.scheme_name.split(" -> ")[-1] == "mls_mfpcc"
+
+
+def test_metrics_of_a_known_drive(make_bag):
+    row = metrics.evaluate(recording.read(make_bag(oversampling=5)))
+    assert row["experiment"] == "synthetic" and row["engine"] == "inprocess" and row["seed"] == 7
+    assert row["periods"] == 4000 and row["lost_periods"] == 0 and row["window_s"] == [0.1, 0.3]
+    assert row["thd_percent"]["control"] == pytest.approx(2.0, rel=1e-3)
+    assert row["thd_percent"]["oversampled"] == pytest.approx(2.0, rel=1e-3)
+    # 2 % of 3.007 A, seen from the rotor as two rotating vectors.
+    assert row["ripple_pp"]["d"] == pytest.approx(0.0, abs=1e-9)  # i_dq as the controller saw it
+    assert row["ripple_pp"]["d_oversampled"] == pytest.approx(0.12, rel=0.02)
+    assert row["lut_error_max"] == {"d": 0.05, "q": 0.1}
+    assert row["lut_error_rms"]["q"] == pytest.approx(0.1 / np.sqrt(3), rel=1e-2)
+    assert row["i_d_mean"] == pytest.approx(0.2)
+    assert row["i_q_error_mean"] == pytest.approx(-0.1)
+    assert row["speed_rpm_mean"] == pytest.approx(750.0, rel=1e-9)
+    assert row["step_time_us"] == {"median": 3.0, "p99": 9.0}
+    assert row["switching_frequency_hz"] == pytest.approx(10e3)
+    assert row["copper_loss_w"] == pytest.approx(1.5 * 1.5 * (0.2**2 + 3.0**2))
+    assert row["fundamental"]["frequency_hz"] == pytest.approx(50.0)
+
+
+def test_a_bag_of_others_is_measured_without_configuration(make_bag):
+    found = recording.read(make_bag(periods=2000, config={"oversampling": "?"}))
+    assert found.T_s == pytest.approx(1e-4) and found.n_p == 4
+    row = metrics.evaluate(found)
+    assert row["window_s"] == [0.0, pytest.approx(0.2)]
+    assert row["scheme"] == "mls_mfpcc" and row["experiment"] is None
+    assert row["thd_percent"]["oversampled"] is None
+
+
+def test_a_window_outside_of_the_recording(make_bag):
+    found = recording.read(make_bag(periods=500))
+    with pytest.raises(metrics.MetricsError, match=r"0\.1 to 0\.3 s holds 0 samples.* to 0\.05 s"):
+        metrics.evaluate(found)
+
+
+# --- Completeness ---
+
+
+def test_gaps_are_counted_and_named(make_bag, drive_messages):
+    source = (m for n, m in enumerate(drive_messages(1000)) if n not in {400, 401, 404, 2002})
+    found = recording.read(make_bag(source=source))
+    assert found.lost_periods == 2
+    assert any("phase_feedback: 2 messages are missing, first after period 99" in p
+               for p in found.problems)  # fmt: skip
+    assert any(p.startswith("drive_state: 1 messages") for p in found.problems)
+    assert not any(p.startswith("duty_command") for p in found.problems)
+
+
+def test_a_missing_end_is_a_gap(make_bag, drive_messages):
+    source = (m for m in drive_messages(1000) if m[0] != "lut_diagnostics" or m[1] < 90_000_000)
+    found = recording.read(make_bag(source=source))
+    assert found.lost_periods == 99  # the very last period of a run may lack its diagnostics
+
+
+def test_decimated_topics_are_no_gaps(make_bag, drive_messages):
+    source = (
+        m for m in drive_messages(1000)
+        if m[0] not in ("lut_diagnostics", "drive_state") or m[1] // 100_000 % 10 == 0
+    )  # fmt: skip
+    found = recording.read(make_bag(source=source))
+    assert len(found.lut) == 100 and found.lost_periods == 0 and found.problems == []
+    assert metrics.evaluate(found, (0.02, 0.08))["lut_error_max"]["d"] == 0.05
+
+
+def test_repeats_are_dropped(make_bag, drive_messages):
+    source = (m for n, m in enumerate(drive_messages(100)) for _ in range(2 if n == 40 else 1))
+    found = recording.read(make_bag(source=source))
+    assert len(found.feedback) == 100 and found.lost_periods == 0
+    assert found.problems == ["phase_feedback: 1 period numbers come twice; the first counts"]
+
+
+def test_of_several_runs_the_longest_counts(make_bag, drive_messages):
+    source = (m for n in (30, 200, 10) for m in drive_messages(n))
+    found = recording.read(make_bag(source=source))
+    assert len(found.feedback) == 200 and len(found.lut) == 200
+    assert "goes back 2 times" in found.problems[0]
+
+
+def test_a_late_recorder(make_bag, drive_messages):
+    found = recording.read(make_bag(source=drive_messages(300, first=5000)))
+    assert found.feedback["period"][0] == 5000 and found.lost_periods == 0
+
+
+# --- Files that are not as they should be ---
+
+
+def test_nothing_there(tmp_path):
+    with pytest.raises(bag.BagError, match="there is no such file or folder"):
+        recording.read(tmp_path / "nowhere")
+    with pytest.raises(bag.BagError, match="no recording here"):
+        recording.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (b"", "empty"),
+        (b"\x89MCA", "ends within"),
+        (b"PK\3\4 something else", "no MCAP file"),
+        (bag.MAGIC, "not finished"),
+        (bag.MAGIC + struct.pack("<BQ", 6, 2**60), "not finished"),
+    ],
+)
+def test_what_is_no_recording(tmp_path, content, text):
+    file = tmp_path / "x.mcap"
+    file.write_bytes(content)
+    with pytest.raises(bag.BagError, match=text):
+        recording.read(file)
+    with pytest.raises(bag.BagError):
+        recover.recover(file)
+    assert file.read_bytes() == content
+
+
+def test_a_bag_without_messages(tmp_path):
+    with bag.BagWriter(tmp_path / "b", config={}):
+        pass
+    with pytest.raises(bag.BagError, match="no messages of topic phase_feedback and duty_command"):
+        recording.read(tmp_path / "b")
+
+
+def test_a_bag_with_other_topics(tmp_path):
+    with bag.BagWriter(tmp_path / "b", config={}) as writer:
+        writer.add_topic("/scan", "builtin_interfaces/msg/Time")
+        writer.write("/scan", 0, b"\0\1\0\0" + bytes(8))
+    with pytest.raises(bag.BagError, match="there are: /scan"):
+        recording.read(tmp_path / "b")
+
+
+def test_a_bag_with_other_messages_of_the_same_topic(tmp_path, monkeypatch, drive_messages):
+    monkeypatch.setitem(bag.LOOP_TOPICS, "phase_feedback", "builtin_interfaces/msg/Time")
+    with bag.BagWriter(tmp_path / "b", config={}) as writer:
+        writer.write("phase_feedback", 0, b"\0\1\0\0" + bytes(8))
+    monkeypatch.undo()
+    with pytest.raises(bag.BagError, match="is of type builtin_interfaces/msg/Time, not mfpcc"):
+        recording.read(tmp_path / "b")
+
+
+def test_a_bag_with_an_older_definition(make_bag, monkeypatch):
+    text = bag.message_definition("mfpcc_msgs/msg/PhaseFeedback").replace("float64", "float32")
+    real = bag.message_definition
+    monkeypatch.setattr(bag, "message_definition", lambda t: text if "Phase" in t else real(t))
+    path = make_bag(periods=3)
+    with pytest.raises(bag.BagError, match="another definition of mfpcc_msgs/msg/PhaseFeedback"):
+        recording.read(path)
+
+
+def test_two_axes(tmp_path, drive_messages):
+    with bag.BagWriter(tmp_path / "b", config={}) as writer:
+        for axis in ("/axis1/", "/axis2/"):
+            for name, type_name in bag.LOOP_TOPICS.items():
+                writer.add_topic(axis + name, type_name)
+        for topic, time, data in drive_messages(20):
+            writer.write("/axis1/" + topic, time, data)
+            writer.write("/axis2/" + topic, time, data)
+    with pytest.raises(bag.BagError, match="choose one of /axis1, /axis2"):
+        recording.read(tmp_path / "b")
+    assert len(recording.read(tmp_path / "b", namespace="axis2").feedback) == 20
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_bags_written_by_others(tmp_path, drive_messages, plugin):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(tmp_path / "other", version=9, storage_plugin=plugin) as writer:
+        connections = {}
+        for topic, type_name in bag.LOOP_TOPICS.items():
+            types = get_types_from_msg(bag.message_definition(type_name), type_name)
+            store.register({k: v for k, v in types.items() if k not in store.fielddefs})
+            connections[topic] = writer.add_connection("/" + topic, type_name, typestore=store)
+        for topic, time, data in drive_messages(2000):
+            writer.write(connections[topic], time, data)
+    found = recording.read(tmp_path / "other")
+    assert len(found.feedback) == 2000 and found.n_p == 4 and found.lost_periods == 0
+
+
+def test_a_split_bag(make_bag, drive_messages, tmp_path):
+    one = make_bag("one", source=drive_messages(500))
+    two = make_bag("two", source=drive_messages(500, first=500))
+    (tmp_path / "split").mkdir()
+    shutil.copy(one / "one_0.mcap", tmp_path / "split" / "split_9.mcap")
+    shutil.copy(two / "two_0.mcap", tmp_path / "split" / "split_10.mcap")
+    found = recording.read(tmp_path / "split")
+    assert len(found.feedback) == 1000 and found.problems == []
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
+def test_a_cut_file_is_said_to_be_cut_and_can_be_recovered(make_bag, share):
+    path = make_bag(periods=3000)
+    (file,) = path.glob("*.mcap")
+    data = file.read_bytes()
+    file.write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(bag.BagError, match="not finished"):
+        recording.read(path)
+    if share > 0.3:
+        recover.recover(path)
+        found = recording.read(path)
+        assert found.lost_periods == 0
+        assert len(found.feedback) >= int((share - 0.2) * 3000)
+
+
+def test_a_damaged_part_is_dropped_and_the_old_file_kept(make_bag):
+    path = make_bag(periods=3000)
+    (file,) = path.glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(bag.BagError, match="damaged"):
+        recording.read(path)
+    assert "1 damaged part dropped" in recover.recover(path)
+    found = recording.read(path)
+    assert found.lost_periods == 500 and len(found.problems) > 0
+    assert file.with_name(file.name + ".damaged").read_bytes() == data
+
+
+def test_random_mutations_never_give_wrong_numbers_silently(make_bag):
+    """Each mutation gives a clear error, or exactly what was recorded."""
+    path = make_bag(periods=60)
+    (file,) = path.glob("*.mcap")
+    original = file.read_bytes()
+    expected = recording.read(path)
+    rng = random.Random(1)
+    refused = 0
+    for _ in range(400):
+        data = bytearray(original)
+        for _ in range(rng.choice((1, 1, 1, 4))):
+            position = rng.randrange(len(data))
+            kind = rng.randrange(3)
+            if kind == 0:
+                data[position] ^= 1 << rng.randrange(8)
+            elif kind == 1:
+                data[position] = rng.choice((0, 255))
+            else:
+                del data[position : position + rng.randrange(1, 9)]
+        file.write_bytes(data)
+        try:
+            found = recording.read(path)
+        except bag.BagError as error:
+            assert str(path) in str(error) and "\n" not in str(error)
+            refused += 1
+            continue
+        assert found.config == expected.config
+        for name in ("feedback", "command", "lut", "state", "scheme"):
+            assert getattr(found, name).tobytes() == getattr(expected, name).tobytes()
+    assert refused > 300
