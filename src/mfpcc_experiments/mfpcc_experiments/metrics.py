@@ -615,8 +615,8 @@ def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> d
         "lost_periods": recording.lost_periods,
         "window_s": [w.begin, w.end],
         "thd_percent": {
-            "control": _or_none(coarse and coarse.thd, 100.0),
-            "oversampled": _or_none(fine and fine.thd, 100.0),
+            "control": _or_none(coarse.thd if coarse else None, 100.0),
+            "oversampled": _or_none(fine.thd if fine else None, 100.0),
         },
         "ripple_pp": pp,
         "ripple_rms": _pair((ripple_rms(w.i_dq.real), ripple_rms(w.i_dq.imag))),
@@ -636,7 +636,7 @@ def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> d
             "oversampled": recording.oversampling / T_s if recording.oversampling else None,
         },
         "fundamental": {
-            "amplitude_a": _or_none(coarse and coarse.amplitude),
+            "amplitude_a": _or_none(coarse.amplitude if coarse else None),
             "frequency_hz": float(turned / seconds),
             "periods": coarse.periods if coarse else 0,
         },
