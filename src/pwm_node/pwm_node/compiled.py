@@ -164,7 +164,7 @@ def _digest(function: Callable[..., Any]) -> str:
 def _references(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
     """Yield the names that a function takes from outside, with their values."""
     code = function.__code__
-    for name, cell in zip(code.co_freevars, function.__closure__ or ()):
+    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
         yield name, cell.cell_contents
     for name in _global_names(code):
         if name in function.__globals__:

@@ -57,9 +57,7 @@ def test_only_finite_numbers(table, value):
 
 
 def test_range_is_told_with_unit(table):
-    assert reason(table.validate, {"high": 11.0}) == (
-        "'high' = 11.0 is out of range: at most 10 A"
-    )
+    assert reason(table.validate, {"high": 11.0}) == ("'high' = 11.0 is out of range: at most 10 A")
     assert "at least 0 A" in reason(table.validate, {"low": -1.0})
     assert table.validate({"low": 0.0}) == {"low": 0.0}
 
