@@ -15,7 +15,7 @@ export PYTHON
 .PHONY: help
 help:  ## what there is
 	@echo "make TARGET"
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1|\2/p' Makefile | column -t -s '|'
+	@sed -n 's/^\([a-z]*\):.*## /  \1\t/p' Makefile | expand -t 9
 
 .PHONY: setup
 setup:  ## the Python environment .venv, ROS 2 included (PYTHON=python3.12 chooses the Python)

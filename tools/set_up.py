@@ -181,10 +181,10 @@ def _requirement_files() -> list[Path]:
 
 
 def _environment_stamp() -> Stamp:
-    # Scripts in an environment name its folder, so a folder that was moved needs a new one.
+    sourced = _environment().get("AMENT_PREFIX_PATH", "") if os.environ.get("ROS_DISTRO") else ""
     return {
-        "folder": str(VENV),
-        "ros": os.environ.get("AMENT_PREFIX_PATH", "") if os.environ.get("ROS_DISTRO") else "PyPI",
+        "folder": str(VENV),  # scripts in an environment name it, so a moved one is of no use
+        "ros": sourced or "PyPI",
         "requirements": _hash_of(_requirement_files()),
     }
 
