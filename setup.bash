@@ -9,8 +9,8 @@ fi
 
 _mfpcc_root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")" >/dev/null && pwd -P)
 
-# The set-up writes this file last, so without it there is nothing here, or half of it.
-if [[ ! -f "$_mfpcc_root/install/.complete" ]]; then
+# The set-up writes these files last, so without them there is nothing here, or half of it.
+if [[ ! -f "$_mfpcc_root/.venv/.complete" || ! -f "$_mfpcc_root/install/.complete" ]]; then
     echo "setup.bash: nothing is built here yet; run: make -C $_mfpcc_root build" >&2
     unset _mfpcc_root
     return 1
