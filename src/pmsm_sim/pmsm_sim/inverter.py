@@ -4,9 +4,38 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from pwm_node.compiled import kernel
 
 _INV_SQRT3 = 1.0 / math.sqrt(3.0)
+
+
+@kernel
+def take_command(par, st):
+    """Decide what the inverter applies in the period that begins now: `st.duty`, `st.gates_on`.
+
+    That is the command latched for this period. When there is none, the first missing one is
+    replaced by the one before (`par.hold`) or by the zero vector, the next ones by the zero
+    vector; the `par.loss_limit`-th in a row blocks the gates until the trip is cleared. Before
+    the first command of all nothing counts as missing: period 0 has the zero vector, later
+    periods have blocked gates.
+    """
+    if st.latched:
+        st.armed = True
+        st.missing_in_row = 0
+    elif st.armed:
+        st.missed += np.uint64(1)
+        st.missing_in_row += 1
+        if st.missing_in_row >= par.loss_limit:
+            st.tripped = True
+        if not (par.hold and st.missing_in_row == 1):
+            for x in range(3):
+                st.duty[x] = 0.5
+    elif st.period > 0:
+        st.enable = False
+    st.latched = False
+    st.gates_on = st.enable and not st.tripped
 
 
 @kernel
@@ -52,3 +81,42 @@ def set_pattern(st, T_s):
     st.legs[4] = b_0 | b_1
     st.legs[5] = b_0
     st.legs[6] = 0
+
+
+@kernel
+def leg_gate(par, st, x, t):
+    """Gates of leg x at time t (s) in the period: 1 upper on, -1 lower on, 0 both off."""
+    if not st.gates_on:
+        return 0
+    half = 0.5 * par.T_s
+    return 1 if abs(t - half) < half * st.duty[x] else -1
+
+
+@kernel
+def _insert(instants, n, t):
+    """Put t into the first n sorted instants, unless it is there; returns the new number."""
+    k = n
+    while k > 0 and instants[k - 1] > t:
+        k -= 1
+    if k > 0 and instants[k - 1] == t:
+        return n
+    for j in range(n, k, -1):
+        instants[j] = instants[j - 1]
+    instants[k] = t
+    return n + 1
+
+
+@kernel
+def switching_instants(par, st, instants):
+    """Fill `instants` with the sorted limits of the intervals between which no gate changes.
+
+    Returns how many there are; the first is 0, the last T_s.
+    """
+    instants[0] = 0.0
+    n = 1
+    if st.gates_on:
+        half = 0.5 * par.T_s
+        for x in range(3):
+            n = _insert(instants, n, half * (1.0 - st.duty[x]))
+            n = _insert(instants, n, half * (1.0 + st.duty[x]))
+    return _insert(instants, n, par.T_s)

@@ -24,6 +24,12 @@ def small_rotation(x):
 
 
 @kernel
+def flux(par, i_d, i_q):
+    """Flux linkage (psi_d, psi_q) (V s) and incremental inductances (L_dd, L_dq, L_qq) (H)."""
+    return par.psi_f + par.L_d * i_d, par.L_q * i_q, par.L_d, 0.0, par.L_q
+
+
+@kernel
 def torque(par, i_d, i_q):
     """Electromagnetic torque (N m)."""
     return 1.5 * par.n_p * (par.psi_f + (par.L_d - par.L_q) * i_d) * i_q

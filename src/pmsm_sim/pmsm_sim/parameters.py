@@ -29,6 +29,20 @@ TABLE = Table(
         Parameter("load_torque", 0.0, "Load torque", unit="N m", minimum=-1e4, maximum=1e4),
         Parameter("dc_voltage", 311.0, "DC-link voltage", unit="V", minimum=1.0, maximum=2_000.0),
         Parameter(
+            "inverter.missing_command",
+            "zero",
+            "What the inverter applies in the first period without a command: the zero vector, or "
+            "the command before (hold)",
+            choices=("zero", "hold"),
+        ),
+        Parameter(
+            "inverter.command_loss_limit",
+            10,
+            "So many periods in a row without a command block the gates until the trip is cleared",
+            minimum=1,
+            maximum=1_000_000,
+        ),
+        Parameter(
             "noise.current_rms",
             0.0,
             "White noise of each phase-current sensor, rms",

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from pmsm_sim import motor
-from pmsm_sim.inverter import leg_voltage, set_pattern
+from pmsm_sim.general import integrate
+from pmsm_sim.inverter import leg_voltage, set_pattern, take_command
 from pmsm_sim.machine import MAX_STEP_ANGLE, derivative, small_rotation, step, torque
 from pmsm_sim.noise import normal_pair
 from pmsm_sim.records import PLANT_PAR, PLANT_STATE
@@ -35,11 +36,15 @@ def latch(st_, cmd_):
     Returns `ACCEPTED`, `WRONG_PERIOD` or `OUT_OF_RANGE`; only an accepted command has an effect.
     """
     st, cmd = st_[0], cmd_[0]
+    if cmd.period == 0:
+        return WRONG_PERIOD  # the first command is for period 1
     if cmd.period != st.period or st.latched:
+        st.refused += np.uint64(1)
         return WRONG_PERIOD
     for x in range(3):
         # written so that NaN is out of range
         if not (cmd.duty[x] >= 0.0 and cmd.duty[x] <= 1.0):
+            st.refused += np.uint64(1)
             return OUT_OF_RANGE
     for x in range(3):
         st.duty[x] = cmd.duty[x]
@@ -119,35 +124,11 @@ def _oversample(par, t_0, h, c, s, u, start, end, legs, k, i_abc, legs_out):
 
 
 @kernel
-def advance(par_, st_, fb_, ds_, i_abc, legs_out):
-    """One PWM period: sample, then integrate it with the duties latched for it.
+def _integrate_ideal(par, st, c, s, i_abc, legs_out):
+    """Advance the state by one period without any effect that costs time.
 
-    Parameters
-    ----------
-    par_, st_ : arrays of length 1 of `PLANT_PAR`, `PLANT_STATE`
-    fb_, ds_ : arrays of length 1
-        The fixed parts of `PhaseFeedback` and `DriveState`, written here.
-    i_abc : float64 array, shape (3 n,)
-        Phase currents at n equal steps of the period, written here; n may be 0.
-    legs_out : uint8 array, shape (n,)
+    Returns the mechanical angle turned (rad) and the energy taken from the DC link (J).
     """
-    par, st, fb, ds = par_[0], st_[0], fb_[0], ds_[0]
-    theta_m = par.n_p * st.theta_M
-    c, s = math.cos(theta_m), math.sin(theta_m)
-    _set_stamp(fb.stamp, st.period, par.period_ns)
-    _set_stamp(ds.stamp, st.period, par.period_ns)
-    _sample(par, st, c, s, fb)
-
-    ds.period = st.period
-    ds.i_dq[0] = st.i_d
-    ds.i_dq[1] = st.i_q
-    ds.torque = torque(par, st.i_d, st.i_q)
-    ds.speed = st.w_M
-    ds.angle = st.theta_M
-    ds.load_torque = par.tau_L
-    ds.dc_voltage = par.u_dc
-    ds.gates_on = st.enable
-
     set_pattern(st, par.T_s)
     i_d, i_q, w_M, turn_M, energy = st.i_d, st.i_q, st.w_M, 0.0, 0.0
     n_over = legs_out.shape[0]
@@ -181,15 +162,52 @@ def advance(par_, st_, fb_, ds_, i_abc, legs_out):
             i_d, i_q, w_M = i_d1, i_q1, w_M1
             turn_M += turn
             energy += taken
+    st.i_d, st.i_q, st.w_M = i_d, i_q, w_M
+    return turn_M, energy
+
+
+@kernel
+def advance(par_, st_, fb_, ds_, i_abc, legs_out):
+    """One PWM period: sample, then integrate it with the duties latched for it.
+
+    Parameters
+    ----------
+    par_, st_ : arrays of length 1 of `PLANT_PAR`, `PLANT_STATE`
+    fb_, ds_ : arrays of length 1
+        The fixed parts of `PhaseFeedback` and `DriveState`, written here.
+    i_abc : float64 array, shape (3 n,)
+        Phase currents at n equal steps of the period, written here; n may be 0.
+    legs_out : uint8 array, shape (n,)
+    """
+    par, st, fb, ds = par_[0], st_[0], fb_[0], ds_[0]
+    take_command(par, st)
+    theta_m = par.n_p * st.theta_M
+    c, s = math.cos(theta_m), math.sin(theta_m)
+    _set_stamp(fb.stamp, st.period, par.period_ns)
+    _set_stamp(ds.stamp, st.period, par.period_ns)
+    _sample(par, st, c, s, fb)
+
+    ds.period = st.period
+    ds.i_dq[0] = st.i_d
+    ds.i_dq[1] = st.i_q
+    ds.torque = torque(par, st.i_d, st.i_q)
+    ds.speed = st.w_M
+    ds.angle = st.theta_M
+    ds.load_torque = par.tau_L
+    ds.dc_voltage = par.u_dc
+    ds.gates_on = st.gates_on
+
+    if st.gates_on:
+        turn_M, energy = _integrate_ideal(par, st, c, s, i_abc, legs_out)
+    else:
+        turn_M, energy = integrate(par, st, i_abc, legs_out)
 
     ds.dc_current = energy / (par.u_dc * par.T_s)
-    st.i_d, st.i_q, st.w_M = i_d, i_q, w_M
     theta_M = (st.theta_M + turn_M) % _TWO_PI
     # a tiny negative angle wraps to 2 pi itself by rounding
     st.theta_M = theta_M if theta_M < _TWO_PI else 0.0
     st.energy_in += energy
     st.period += np.uint64(1)
-    st.latched = False
 
 
 class Plant:
@@ -232,7 +250,19 @@ class Plant:
         for name, field in _LIVE.items():
             if name in changes:
                 self.par[field] = changes[name]
+        if "inverter.missing_command" in changes:
+            self.par["hold"] = changes["inverter.missing_command"] == "hold"
+
+    def clear_trip(self) -> None:
+        """Forget a loss of commands; the gates are driven again with the next one."""
+        self.st["tripped"] = False
+        self.st["missing_in_row"] = 0
 
 
 # live parameter -> field of PLANT_PAR
-_LIVE = {"load_torque": "tau_L", "dc_voltage": "u_dc", "noise.current_rms": "noise_rms"}
+_LIVE = {
+    "load_torque": "tau_L",
+    "dc_voltage": "u_dc",
+    "inverter.command_loss_limit": "loss_limit",
+    "noise.current_rms": "noise_rms",
+}
