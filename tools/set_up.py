@@ -43,6 +43,8 @@ BENCH_STAMP = VENV / ".bench-complete"
 WORKSPACE_STAMP = INSTALL / ".complete"
 LOCK = ROOT / ".set-up.lock"
 
+THIS_PYTHON = [sys.executable, sys.version.split()[0]]
+
 # Folders of a package that are linked or listed when it is installed: a new file in them needs a
 # new build, a changed one does not. Python modules need none: the installed package is a link.
 LISTED = ("bin", "resource", "motors", "experiments", "parameters", "layouts")
@@ -99,10 +101,12 @@ def _make(part: str, lock: IO[str]) -> None:
 
 def _environment_is_complete() -> bool:
     stamp = _read(ENVIRONMENT_STAMP)
-    made_of = stamp.pop("python", None)
-    if os.environ.get("PYTHON") and made_of != sys.executable:
-        return False  # another Python is asked for by name
-    # The interpreter itself is a link, and goes astray when the machine's Python is replaced.
+    made_of = stamp.pop("python", [])
+    if made_of != THIS_PYTHON:
+        # Any Python will do for the environment, unless it was asked for by name just now, or was
+        # replaced by another version, as a machine's upgrade does.
+        if os.environ.get("PYTHON") or made_of[:1] == THIS_PYTHON[:1]:
+            return False
     return stamp == _environment_stamp() and (VENV / "bin/python").exists()
 
 
@@ -113,8 +117,7 @@ def _make_environment(lock: IO[str]) -> None:
             f"ROS 2 {distro} is sourced in this shell, and this project is made for jazzy. Source "
             "jazzy, or use a shell without ROS_DISTRO: then ROS 2 Jazzy comes from PyPI."
         )
-    version = sys.version.split()[0]
-    print(f"set-up: Python environment .venv, of {sys.executable} ({version})", flush=True)
+    print(f"set-up: Python environment .venv, of {' '.join(THIS_PYTHON)}", flush=True)
     shutil.rmtree(VENV, ignore_errors=True)
     # What the machine's ROS 2 imports (lark, empy, ...) is among the machine's Python packages.
     see_machine = ["--system-site-packages"] if distro else []
@@ -134,7 +137,7 @@ def _make_environment(lock: IO[str]) -> None:
         lock,
     )
     _run("imports", [python, "-c", "import colcon_core, numba, rclpy"], lock, _environment())
-    _write(ENVIRONMENT_STAMP, {**_environment_stamp(), "python": sys.executable})
+    _write(ENVIRONMENT_STAMP, {**_environment_stamp(), "python": THIS_PYTHON})
 
 
 def _make_workspace(lock: IO[str]) -> None:
