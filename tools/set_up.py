@@ -102,11 +102,11 @@ def _make(part: str, lock: IO[str]) -> None:
 def _environment_is_complete() -> bool:
     stamp = _read(ENVIRONMENT_STAMP)
     made_of = stamp.pop("python", [])
-    if made_of != THIS_PYTHON:
-        # Any Python will do for the environment, unless it was asked for by name just now, or was
-        # replaced by another version, as a machine's upgrade does.
-        if os.environ.get("PYTHON") or made_of[:1] == THIS_PYTHON[:1]:
-            return False
+    # Any Python will do that the environment was made of once, unless another one is asked for by
+    # name just now, or it was replaced by another version (as a machine's upgrade does).
+    replaced = made_of != THIS_PYTHON and made_of[:1] == THIS_PYTHON[:1]
+    if replaced or (os.environ.get("PYTHON") and made_of != THIS_PYTHON):
+        return False
     return stamp == _environment_stamp() and (VENV / "bin/python").exists()
 
 
