@@ -20,7 +20,8 @@ from pmsm_sim.bridge import (
     without_floating,
 )
 from pmsm_sim.inverter import leg_gate, switching_instants
-from pmsm_sim.machine import MAX_STEP_ANGLE, torque
+from pmsm_sim.ideal import MAX_STEP_ANGLE
+from pmsm_sim.machine import torque
 from pwm_node.compiled import kernel
 
 # The integrated quantities
@@ -136,9 +137,7 @@ def _settle(par, st, work):
     theta_m = par.n_p * (st.theta_M + y[TURN])
     w_m = par.n_p * y[W_M]
     c, s = math.cos(theta_m), math.sin(theta_m)
-    y[I_D], y[I_Q] = find_modes(
-        par, st.bridge, st.electric, y[I_D], y[I_Q], w_m, c, s, par.u_dc
-    )
+    y[I_D], y[I_Q] = find_modes(par, st.bridge, st.electric, y[I_D], y[I_Q], w_m, c, s, par.u_dc)
     derivative(par, st, y, work[2])
 
 

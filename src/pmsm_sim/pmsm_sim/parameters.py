@@ -7,7 +7,10 @@ from pwm_node.parameters import Parameter, Table
 TABLE = Table(
     [
         Parameter(
-            "motor", "seed_750", "Motor: a name of config/motors or the path of a file", read_only=True
+            "motor",
+            "seed_750",
+            "Motor: a name of config/motors or the path of a file",
+            read_only=True,
         ),
         Parameter(
             "pwm_frequency",
@@ -50,9 +53,7 @@ TABLE = Table(
             minimum=0.0,
             maximum=100.0,
         ),
-        Parameter(
-            "seed", 0, "Seed of all noise", minimum=0, maximum=2**53, read_only=True
-        ),
+        Parameter("seed", 0, "Seed of all noise", minimum=0, maximum=2**53, read_only=True),
         Parameter(
             "initial_speed_rpm",
             0.0,

@@ -14,9 +14,10 @@ import numpy as np
 
 from pmsm_sim import motor
 from pmsm_sim.general import integrate
-from pmsm_sim.inverter import leg_voltage, set_pattern, take_command
-from pmsm_sim.machine import MAX_STEP_ANGLE, derivative, small_rotation, step, torque
-from pmsm_sim.noise import normal_pair
+from pmsm_sim.ideal import integrate_ideal
+from pmsm_sim.inverter import take_command
+from pmsm_sim.machine import torque
+from pmsm_sim.noise import normal
 from pmsm_sim.records import PLANT_PAR, PLANT_STATE
 from pwm_node.compiled import kernel
 
@@ -62,11 +63,9 @@ def _sample(par, st, c, s, fb):
     i_b = -0.5 * i_alpha + _SQRT3_2 * i_beta
     i_c = -0.5 * i_alpha - _SQRT3_2 * i_beta
     if par.noise_rms > 0.0:
-        n_a, n_b = normal_pair(par.seed, st.period, np.uint64(0))
-        n_c, _ = normal_pair(par.seed, st.period, np.uint64(1))
-        i_a += par.noise_rms * n_a
-        i_b += par.noise_rms * n_b
-        i_c += par.noise_rms * n_c
+        i_a += par.noise_rms * normal(par.seed, st.period, np.uint64(0))
+        i_b += par.noise_rms * normal(par.seed, st.period, np.uint64(1))
+        i_c += par.noise_rms * normal(par.seed, st.period, np.uint64(2))
     fb.period = st.period
     fb.i_a = i_a
     fb.i_b = i_b
@@ -80,90 +79,6 @@ def _set_stamp(stamp, period, period_ns):
     t_ns = np.int64(period) * period_ns
     stamp.sec = t_ns // 1_000_000_000
     stamp.nanosec = t_ns % 1_000_000_000
-
-
-@kernel
-def _oversample(par, t_0, h, c, s, u, start, end, legs, k, i_abc, legs_out):
-    """Waveform at the points j T_s / n inside [t_0, t_0 + h) by cubic Hermite interpolation.
-
-    `start` and `end` are (i_d, i_q, w_M) at the limits of the interval, `u` the voltage
-    (u_alpha, u_beta), c and s the cosine and sine of the electrical angle at its start. The
-    trajectory itself is not touched, so a run is the same with and without oversampling. Returns
-    the index of the next point.
-    """
-    n = legs_out.shape[0]
-    dt = par.T_s / n
-    if k >= n or k * dt >= t_0 + h:
-        return k
-    i_d0, i_q0, w_0 = start
-    i_d1, i_q1, w_1 = end
-    u_d, u_q = c * u[0] + s * u[1], c * u[1] - s * u[0]
-    dd_0, dq_0, a_M = derivative(par, i_d0, i_q0, w_0, u_d, u_q)
-    c_1, s_1 = small_rotation(par.n_p * 0.5 * (w_0 + w_1) * h)
-    dd_1, dq_1, _ = derivative(par, i_d1, i_q1, w_1, c_1 * u_d + s_1 * u_q, c_1 * u_q - s_1 * u_d)
-    while k < n and k * dt < t_0 + h:
-        t = k * dt - t_0
-        x = t / h
-        y = 1.0 - x
-        b_0 = (1.0 + 2.0 * x) * y * y
-        b_1 = x * x * (3.0 - 2.0 * x)
-        m_0 = x * y * y * h
-        m_1 = -x * x * y * h
-        i_d = b_0 * i_d0 + b_1 * i_d1 + m_0 * dd_0 + m_1 * dd_1
-        i_q = b_0 * i_q0 + b_1 * i_q1 + m_0 * dq_0 + m_1 * dq_1
-        c_t, s_t = small_rotation(par.n_p * t * (w_0 + 0.5 * a_M * t))
-        c_k, s_k = c * c_t - s * s_t, s * c_t + c * s_t
-        i_alpha = c_k * i_d - s_k * i_q
-        i_beta = s_k * i_d + c_k * i_q
-        i_abc[3 * k] = i_alpha
-        i_abc[3 * k + 1] = -0.5 * i_alpha + _SQRT3_2 * i_beta
-        i_abc[3 * k + 2] = -0.5 * i_alpha - _SQRT3_2 * i_beta
-        legs_out[k] = legs
-        k += 1
-    return k
-
-
-@kernel
-def _integrate_ideal(par, st, c, s, i_abc, legs_out):
-    """Advance the state by one period without any effect that costs time.
-
-    Returns the mechanical angle turned (rad) and the energy taken from the DC link (J).
-    """
-    set_pattern(st, par.T_s)
-    i_d, i_q, w_M, turn_M, energy = st.i_d, st.i_q, st.w_M, 0.0, 0.0
-    n_over = legs_out.shape[0]
-    k = 0
-    for j in range(7):
-        length = st.t_switch[j + 1] - st.t_switch[j]
-        if length <= 0.0:
-            continue
-        u_alpha, u_beta = leg_voltage(st.legs[j], par.u_dc)
-        n = math.ceil(max(length / par.h_max, abs(par.n_p * w_M) * length / MAX_STEP_ANGLE))
-        h = length / n
-        for m in range(n):
-            i_d1, i_q1, w_M1, turn, taken = step(par, i_d, i_q, w_M, c, s, u_alpha, u_beta, h)
-            if n_over > 0:
-                k = _oversample(
-                    par,
-                    st.t_switch[j] + m * h,
-                    h,
-                    c,
-                    s,
-                    (u_alpha, u_beta),
-                    (i_d, i_q, w_M),
-                    (i_d1, i_q1, w_M1),
-                    st.legs[j],
-                    k,
-                    i_abc,
-                    legs_out,
-                )
-            c_t, s_t = small_rotation(par.n_p * turn)
-            c, s = c * c_t - s * s_t, s * c_t + c * s_t
-            i_d, i_q, w_M = i_d1, i_q1, w_M1
-            turn_M += turn
-            energy += taken
-    st.i_d, st.i_q, st.w_M = i_d, i_q, w_M
-    return turn_M, energy
 
 
 @kernel
@@ -198,14 +113,17 @@ def advance(par_, st_, fb_, ds_, i_abc, legs_out):
     ds.gates_on = st.gates_on
 
     if st.gates_on:
-        turn_M, energy = _integrate_ideal(par, st, c, s, i_abc, legs_out)
+        turn_M, energy = integrate_ideal(par, st, c, s, i_abc, legs_out)
     else:
         turn_M, energy = integrate(par, st, i_abc, legs_out)
 
     ds.dc_current = energy / (par.u_dc * par.T_s)
-    theta_M = (st.theta_M + turn_M) % _TWO_PI
-    # a tiny negative angle wraps to 2 pi itself by rounding
-    st.theta_M = theta_M if theta_M < _TWO_PI else 0.0
+    theta_M = st.theta_M + turn_M
+    if not (theta_M >= 0.0 and theta_M < _TWO_PI):
+        theta_M %= _TWO_PI
+        if theta_M >= _TWO_PI:
+            theta_M = 0.0  # a tiny negative angle wraps to 2 pi itself by rounding
+    st.theta_M = theta_M
     st.energy_in += energy
     st.period += np.uint64(1)
 

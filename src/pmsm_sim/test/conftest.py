@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from mfpcc_msgs.msg import DriveState, PhaseFeedback
+
 from pmsm_sim.parameters import TABLE
 from pmsm_sim.plant import Plant, advance
 from pwm_node.wire import fixed_dtype

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from mfpcc_msgs.msg import DutyCommand
+
 from pmsm_sim.plant import ACCEPTED, OUT_OF_RANGE, WRONG_PERIOD, latch
 from pwm_node.wire import Wire
 
