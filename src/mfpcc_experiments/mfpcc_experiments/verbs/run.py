@@ -95,8 +95,10 @@ def _run_and_compare(
     """Record each scheme into `<folder>/<scheme>` and compare them, with a progress bar."""
     from mfpcc_experiments import compare, run
     from mfpcc_experiments.progress import progress_bar
+    from pwm_node import compiled
 
     with progress_bar() as begin:
+        compiled.announce()  # above the bar, which stands still meanwhile
         for scheme in schemes:
             progress = begin(scheme, scenario.periods)
             run.run(scenario, scheme, engine, folder, seed, progress, separate=separate)
