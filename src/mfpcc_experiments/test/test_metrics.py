@@ -152,3 +152,12 @@ def test_window_rows():
     rows = metrics.window_rows(period, (0.02, 0.03), T_S)
     assert (period[rows][0], period[rows][-1], rows.stop - rows.start) == (200, 299, 100)
     assert metrics.window_rows(period, (0.0, 10.0), T_S) == slice(0, 300)
+
+
+def test_amplitude_by_electrical_period():
+    theta = angle(2050, 50.0)
+    ripple = 0.5 * np.exp(7j * theta)  # vanishes over each period
+    i_dq = np.where(np.arange(2050) < 1000, 2.0, 3.0) * np.exp(0.4j) + ripple
+    assert metrics.amplitudes(i_dq, theta) == pytest.approx([2.0] * 5 + [3.0] * 5)
+    assert not metrics.is_steady(i_dq, theta)
+    assert metrics.is_steady(i_dq[:1000], theta[:1000])

@@ -1,0 +1,215 @@
+"""From recordings to a comparison: metrics, figures and a report in one folder."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from mfpcc_experiments import metrics, recording
+from mfpcc_experiments.bag import BagError
+from mfpcc_experiments.measured import Measured, labels, signals
+
+Progress = Callable[[float], None]
+
+# Shares of the time that a comparison takes: reading, figures, report.
+_READING, _DRAWING = 0.6, 0.9
+
+
+def compare(
+    paths: Sequence[Path], out: Path, *, progress: Progress | None = None
+) -> list[dict[str, Any]]:
+    """
+    Measure recordings and compare them.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Bags, in the order in which they shall appear.
+    out : Path
+        Folder for ``metrics.json``, ``figures/`` and ``report.html``; made if it is missing.
+    progress : callable, optional
+        Told the share that is done, 0 to 1.
+
+    Returns
+    -------
+    list of dict
+        The objects of ``metrics.json``, one per recording.
+
+    Raises
+    ------
+    BagError, MetricsError
+        If a recording cannot be read or measured. Nothing is written then.
+    """
+    from mfpcc_experiments import figures, report  # matplotlib takes its time to load
+
+    if not paths:
+        raise BagError("no recordings to compare")
+
+    def tell(share: float) -> None:
+        if progress is not None:
+            progress(share)
+
+    runs = measure(paths, lambda share: tell(_READING * share))
+    rows = [run.row for run in runs]
+    out = Path(out)
+    (out / "figures").mkdir(parents=True, exist_ok=True)
+    drawn = figures.draw(runs, out / "figures")
+    tell(_DRAWING)
+    write_whole(out / "report.html", report.render(runs, drawn))
+    write_whole(out / "metrics.json", json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
+    tell(1.0)
+    return rows
+
+
+def measure(paths: Sequence[Path], progress: Progress | None = None) -> list[Measured]:
+    """
+    Read and measure recordings one after the other, so that only one is in memory at a time.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Bags.
+    progress : callable, optional
+        Told the share that is done, 0 to 1.
+
+    Returns
+    -------
+    list of Measured
+        With labels that tell them apart.
+    """
+    parts = []
+    for n, path in enumerate(paths):
+
+        def tell(share: float, n: int = n) -> None:
+            if progress is not None:
+                progress((n + share) / len(paths))
+
+        found = recording.read(path, progress=tell)
+        row = metrics.evaluate(found)
+        parts.append((row, metrics.cut(found), signals(found), found.config, found.problems))
+    names = labels([part[0] for part in parts], [Path(path) for path in paths])
+    return [
+        Measured(Path(path), name, row, window, quantities, config, problems)
+        for path, name, (row, window, quantities, config, problems) in zip(
+            paths, names, parts, strict=True
+        )
+    ]
+
+
+def write_whole(path: Path, text: str) -> None:
+    """
+    Write a file that is there whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        File; replaced if it is there.
+    text : str
+        Content.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+# --- The table ---------------------------------------------------------------------------------
+
+#: What the tables show: text, unit, how to find it in a row, and whether less is better.
+COLUMNS: tuple[tuple[str, str, tuple[str, ...], bool], ...] = (
+    ("THD, oversampled", "%", ("thd_percent", "oversampled"), True),
+    ("THD, control samples", "%", ("thd_percent", "control"), True),
+    ("Ripple d, peak to peak", "A", ("ripple_pp", "d"), True),
+    ("Ripple q, peak to peak", "A", ("ripple_pp", "q"), True),
+    ("Ripple d, rms", "A", ("ripple_rms", "d"), True),
+    ("Ripple q, rms", "A", ("ripple_rms", "q"), True),
+    ("LUT error d, max", "A", ("lut_error_max", "d"), True),
+    ("LUT error q, max", "A", ("lut_error_max", "q"), True),
+    ("LUT error d, rms", "A", ("lut_error_rms", "d"), True),
+    ("LUT error q, rms", "A", ("lut_error_rms", "q"), True),
+    ("Mean i_d", "A", ("i_d_mean",), False),
+    ("Mean error of i_q", "A", ("i_q_error_mean",), False),
+    ("Mean speed", "r/min", ("speed_rpm_mean",), False),
+    ("Torque ripple, rms", "N m", ("torque_ripple_rms",), True),
+    ("Copper loss", "W", ("copper_loss_w",), True),
+    ("Switching frequency", "kHz", ("switching_frequency_hz",), False),
+    ("Step time, median", "us", ("step_time_us", "median"), True),
+    ("Step time, 99 %", "us", ("step_time_us", "p99"), True),
+    ("Lost periods", "", ("lost_periods",), True),
+)
+
+
+def value(row: dict[str, Any], key: Sequence[str]) -> Any:
+    """
+    Find a figure in a row of ``metrics.json``.
+
+    Parameters
+    ----------
+    row : dict
+        One row.
+    key : sequence of str
+        Keys from the outside in.
+    """
+    found: Any = row
+    for part in key:
+        found = None if found is None else found.get(part)
+    return found
+
+
+def text(row: dict[str, Any], key: Sequence[str], unit: str = "") -> str:
+    """
+    Print a figure of a row with three significant digits.
+
+    Parameters
+    ----------
+    row : dict
+        One row.
+    key : sequence of str
+        See `value`.
+    unit : str
+        ``kHz`` shows a figure in Hz divided by 1000.
+    """
+    number = value(row, key)
+    if number is None:
+        return "–"
+    if isinstance(number, int):
+        return str(number)
+    if unit == "kHz":
+        number *= 1e-3
+    if abs(number) < 5e-4:
+        return "0.000"
+    digits = max(0, 2 - math.floor(math.log10(abs(number))))
+    return f"{number:.{min(digits, 3) if abs(number) < 100 else 1}f}"
+
+
+def print_table(rows: Sequence[dict[str, Any]]) -> None:
+    """
+    Print metrics to the terminal, one column per recording.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        Objects of ``metrics.json``.
+    """
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    names = labels(rows, [Path(str(n)) for n in range(1, len(rows) + 1)])
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("")
+    for name in names:
+        table.add_column(escape(name), justify="right", overflow="fold")
+    table.add_column("", style="dim")
+    for title, unit, key, _ in COLUMNS:
+        cells = [text(row, key, unit) for row in rows]
+        if any(cell != "–" for cell in cells):
+            table.add_row(title, *cells, unit)
+    Console(highlight=False).print(table)

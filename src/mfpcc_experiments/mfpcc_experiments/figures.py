@@ -1,0 +1,318 @@
+"""
+Figures of recordings side by side, as for a paper: PNG files on white, axes with units.
+
+All schemes of one figure share their scales, so that what looks smaller is smaller.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from mfpcc_experiments import metrics
+from mfpcc_experiments.measured import COLOURS, Measured
+
+#: Phases a, b, c, and references.
+PHASES = (COLOURS[0], COLOURS[1], COLOURS[2])
+REFERENCE = "#000000"
+
+#: Electrical periods shown of the phase currents: in a steady state, and around a transient.
+STEADY_PERIODS, TRANSIENT_PERIODS = 2.0, 5.0
+
+_STYLE: dict[str, Any] = {
+    "font.size": 8.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 8.0,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.5,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.direction": "out",
+    "legend.fontsize": 7.5,
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "lines.linewidth": 0.9,
+    "savefig.dpi": 220,
+    "savefig.facecolor": "white",
+    "figure.facecolor": "white",
+    "agg.path.chunksize": 20_000,
+    "path.simplify_threshold": 0.3,
+}
+
+
+def draw(runs: Sequence[Measured], folder: Path) -> dict[str, Path]:
+    """
+    Draw all figures of a comparison.
+
+    Parameters
+    ----------
+    runs : sequence of Measured
+        What is compared, in this order.
+    folder : Path
+        Where the PNG files go; it exists.
+
+    Returns
+    -------
+    dict of Path
+        File of each figure, by name; a figure that no recording has data for is not there.
+    """
+    drawn = {}
+    painters: dict[str, Callable[[Sequence[Measured]], Figure | None]] = {
+        "phase_currents": phase_currents,
+        "i_dq": i_dq,
+        "lut_error": lut_error,
+        "spectrum": spectrum,
+        "speed_torque": speed_torque,
+    }
+    with mpl.rc_context(_STYLE):
+        for name, painter in painters.items():
+            figure = painter(runs)
+            if figure is not None:
+                drawn[name] = folder / f"{name}.png"
+                figure.savefig(drawn[name], metadata={"Software": None})
+    return drawn
+
+
+def _panels(
+    runs: Sequence[Measured], rows: Sequence[str], height: float, x_label: str
+) -> tuple[Figure, list[list[Axes]]]:
+    """One column per run, one row per quantity; scales are shared within a row."""
+    n = len(runs)
+    width = max(3.5, 0.45 + 2.25 * n)
+    figure = Figure(figsize=(width, 0.75 + height * len(rows)), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03, wspace=0.06)  # type: ignore[union-attr]
+    axes = figure.subplots(len(rows), n, sharex="all", sharey="row", squeeze=False)
+    for row, label in enumerate(rows):
+        axes[row][0].set_ylabel(label)
+        axes[row][0].yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+    figure.align_ylabels()
+    for column, run in enumerate(runs):
+        axes[0][column].set_title(_wrapped(run.label))
+        axes[-1][column].set_xlabel(x_label)
+        axes[-1][column].xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    return figure, [list(line) for line in axes]
+
+
+def _wrapped(label: str) -> str:
+    return label.replace(", ", "\n", 1) if len(label) > 26 else label
+
+
+def _note(axis: Axes, text: str) -> None:
+    """A figure of merit in the upper right corner, above the data."""
+    axis.text(
+        0.99,
+        0.985,
+        text,
+        transform=axis.transAxes,
+        ha="right",
+        va="top",
+        fontsize=7.5,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5},
+        zorder=5,
+    )
+
+
+def _limits(axes: Sequence[Axes], values: Sequence[Any], *, top: float = 0.2) -> None:
+    """The same y limits for all, around all values, with room for a note at the top."""
+    low = min(float(np.nanmin(v)) for v in values)
+    high = max(float(np.nanmax(v)) for v in values)
+    span = (high - low) or max(abs(high), 1.0) * 0.1
+    for axis in axes:
+        axis.set_ylim(low - 0.06 * span, high + top * span)
+
+
+def _format(value: float | None, unit: str) -> str:
+    """Three significant digits with a unit."""
+    if value is None:
+        return "–"
+    digits = 2 if value == 0 else max(0, 2 - math.floor(math.log10(abs(value))))
+    return f"{value:.{min(digits, 4)}f} {unit}"
+
+
+def phase_currents(runs: Sequence[Measured]) -> Figure:
+    """The three phase currents: two electrical periods and the THD, or five around a transient."""
+    figure, ((*axes,),) = _panels(runs, ["Phase current (A)"], 1.75, "Time (ms)")
+    shown = []
+    for axis, run in zip(axes, runs, strict=True):
+        w = run.window
+        time, i_abc, fine = w.time, w.i_abc, False
+        if w.fine_time is not None and w.fine_abc is not None:
+            time, i_abc, fine = w.fine_time, w.fine_abc, True
+        frequency = run.row["fundamental"]["frequency_hz"]
+        steady = run.row["steady"]
+        span = STEADY_PERIODS if steady else TRANSIENT_PERIODS
+        span = min(span / frequency if frequency > 1.0 else 1.0, time[-1] - time[0])
+        begin = time[0] if steady else min(_transient(w) - 0.3 * span, time[-1] - span)
+        begin = max(begin, time[0])
+        rows = slice(*np.searchsorted(time, (begin, begin + span)))
+        for n, (name, colour) in enumerate(zip("abc", PHASES, strict=True)):
+            axis.plot(1e3 * (time[rows] - begin), i_abc[rows, n], color=colour, label=f"$i_{name}$")
+        axis.set_xlim(0.0, 1e3 * span)
+        shown.append(i_abc[rows])
+        thd = run.row["thd_percent"]["oversampled" if fine else "control"]
+        _note(axis, f"THD {_format(thd, '%')}" if steady else f"from {begin:.3f} s")
+    _limits(axes, shown)
+    axes[0].legend(loc="lower left", ncols=3, columnspacing=1.0, borderaxespad=0.1)
+    return figure
+
+
+def _transient(w: metrics.Window) -> float:
+    """Time of the largest change of the amplitude (s)."""
+    amplitude = metrics.amplitudes(w.i_dq, w.theta)
+    period = (w.time[-1] - w.time[0]) * metrics.TWO_PI / abs(w.theta[-1] - w.theta[0])
+    # A change within a period shows in the difference to the next one, so begin half way in it.
+    return float(w.time[0] + (np.argmax(np.abs(np.diff(amplitude))) + 0.5) * period)
+
+
+def i_dq(runs: Sequence[Measured]) -> Figure:
+    """i_d and i_q with their references over the window, and their ripple."""
+    figure, axes = _panels(runs, ["$i_d$ (A)", "$i_q$ (A)"], 1.35, "Time (s)")
+    for row, axis_name in enumerate("dq"):
+        shown = []
+        for axis, run in zip(axes[row], runs, strict=True):
+            w = run.window
+            i = w.i_dq.real if row == 0 else w.i_dq.imag
+            axis.plot(w.time, i, color=COLOURS[row], lw=0.5, label="measured")
+            shown.append(i)
+            if w.i_dq_ref is not None:
+                ref = w.i_dq_ref.real if row == 0 else w.i_dq_ref.imag
+                axis.plot(w.lut_time, ref, color=REFERENCE, lw=0.9, ls="--", label="reference")
+                shown.append(ref)
+            axis.set_xlim(w.begin, w.end)
+            _note(axis, f"peak to peak {_format(run.row['ripple_pp'][axis_name], 'A')}")
+        _limits(axes[row], shown, top=0.25)
+    figure.legend(
+        *_handles(axes[0][0], axes[1][0]),
+        loc="outside upper right",
+        ncols=3,
+        columnspacing=1.2,
+    )
+    return figure
+
+
+def _handles(*axes: Axes) -> tuple[list[Any], list[str]]:
+    """Legend entries of several panels, each text once."""
+    entries: dict[str, Any] = {}
+    for axis, name in zip(axes, ("$i_d$", "$i_q$"), strict=False):
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label if label == "reference" else f"{name} {label}", handle)
+    names = sorted(entries, key=lambda name: name == "reference")  # last, of both
+    return [entries[name] for name in names], names
+
+
+def lut_error(runs: Sequence[Measured]) -> Figure | None:
+    """Difference of measured and predicted current over the window."""
+    if all(run.window.error is None for run in runs):
+        return None
+    figure, axes = _panels(runs, ["LUT error, d (A)", "LUT error, q (A)"], 1.3, "Time (s)")
+    for row, axis_name in enumerate("dq"):
+        shown = [np.zeros(1)]
+        for axis, run in zip(axes[row], runs, strict=True):
+            w = run.window
+            axis.set_xlim(w.begin, w.end)
+            if w.error is None:
+                _note(axis, "not recorded")
+                continue
+            axis.plot(w.lut_time, w.error[:, row], color=COLOURS[row], lw=0.5)
+            shown.append(w.error[:, row])
+            _note(axis, f"max {_format(run.row['lut_error_max'][axis_name], 'A')}")
+        _limits(axes[row], shown, top=0.25)
+    return figure
+
+
+def spectrum(runs: Sequence[Measured]) -> Figure | None:
+    """Spectrum of the phase current relative to its fundamental, to half the sampling rate."""
+    parts = []
+    for run in runs:
+        w = run.window
+        if w.fine_abc is not None and w.fine_theta is not None:
+            part, key = metrics.fundamental(w.fine_abc[:, 0], w.fine_theta), "oversampled"
+        else:
+            part, key = metrics.fundamental(w.i_abc[:, 0], w.theta), "control"
+        rate = run.row["sampling_rate_hz"][key]
+        if part is None or not run.row["steady"]:
+            parts.append(None)
+        else:
+            parts.append((metrics.spectrum(part, rate), rate, part.thd))
+    if not any(parts):
+        return None
+    figure, ((*axes,),) = _panels(
+        runs, ["Amplitude of $i_a$\n(% of the fundamental)"], 1.85, "Frequency (kHz)"
+    )
+    floor = 1e-2  # %
+    for axis, entry in zip(axes, parts, strict=True):
+        axis.set_yscale("log")
+        axis.set_ylim(floor, 300.0)
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
+        if entry is None:
+            _note(axis, "no steady electrical period")
+            continue
+        (frequency, amplitude), rate, thd = entry
+        # Up to the second harmonic of the switching frequency; what lies above is in the THD too.
+        highest = min(rate / 2.0, 25e3)
+        rows = frequency <= highest
+        # One curve of separate strokes: thousands of line objects would take seconds.
+        x = np.repeat(frequency[rows] * 1e-3, 3)
+        y = np.full((np.count_nonzero(rows), 3), np.nan)
+        y[:, 0], y[:, 1] = floor, np.maximum(100.0 * amplitude[rows], floor)
+        axis.plot(x, y.ravel(), color=COLOURS[0], lw=0.6)
+        axis.set_xlim(-0.02 * highest * 1e-3, highest * 1e-3)  # the fundamental stands free
+        _note(axis, f"THD {_format(100.0 * thd, '%')}\nsampled at {rate * 1e-3:g} kHz")
+    return figure
+
+
+def speed_torque(runs: Sequence[Measured]) -> Figure | None:
+    """Speed and torque over the whole recording, the evaluation window shaded."""
+    names = ("speed", "torque")
+    if not any(name in run.signals for run in runs for name in names):
+        return None
+    figure, axes = _panels(runs, ["Speed (r/min)", "Torque (N m)"], 1.3, "Time (s)")
+    entries: dict[str, Any] = {}
+    for row, (name, other, text) in enumerate(
+        (("speed", "speed_ref", "reference"), ("torque", "load_torque", "load"))
+    ):
+        shown = []
+        for axis, run in zip(axes[row], runs, strict=True):
+            axis.axvspan(run.window.begin, run.window.end, color="#eeeeee", lw=0, zorder=0)
+            for signal, style in ((name, {}), (other, {"ls": "--", "color": REFERENCE})):
+                if signal not in run.signals:
+                    continue
+                s = run.signals[signal]
+                time = s.begin + s.step * np.arange(len(s.values))
+                options: dict[str, Any] = {"color": COLOURS[row], "lw": 0.8, **style}
+                (line,) = axis.plot(time, s.values, **options)
+                entries.setdefault(name if signal == name else text, line)
+                shown.append(s.values)
+                axis.set_xlim(time[0], time[-1])
+        shown = [v for v in shown if np.isfinite(v).any()]
+        if shown:
+            _limits(axes[row], shown, top=0.08)
+            _at_least(axes[row], 10.0 if name == "speed" else 0.5)
+    figure.legend(
+        list(entries.values()), list(entries), loc="outside upper right", ncols=4, columnspacing=1.2
+    )
+    return figure
+
+
+def _at_least(axes: Sequence[Axes], span: float) -> None:
+    """Widen the scale to `span`, so that a constant does not look like noise."""
+    low, high = axes[0].get_ylim()
+    if high - low < span:
+        middle = (low + high) / 2.0
+        for axis in axes:
+            axis.set_ylim(middle - span / 2.0, middle + span / 2.0)
