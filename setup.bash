@@ -37,4 +37,14 @@ fi
 # A simulated drive has no business on the network unless it is told so.
 export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
 
+# Nodes find each other at once rather than within 3 s (the file says why).
+export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_mfpcc_root/config/fastdds.xml}"
+
+# `ros2` is ROS's own where there is one. Otherwise a stand-in, last on the path.
+_mfpcc_standin="$_mfpcc_root/install/ros2_standin/share/ros2_standin/path"
+if ! type -P ros2 >/dev/null && [[ -d "$_mfpcc_standin" ]]; then
+    export PATH="$PATH:$_mfpcc_standin"
+fi
+unset _mfpcc_standin
+
 unset _mfpcc_root _mfpcc_nounset
