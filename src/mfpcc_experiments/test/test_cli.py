@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -147,6 +148,32 @@ def test_compare_takes_bags_and_folders_of_bags(
 def test_recover(fake: Fake, capsys: pytest.CaptureFixture[str]) -> None:
     assert mfpcc("recover one/mbpcc") == 0
     assert "one/mbpcc: 10 messages saved" in capsys.readouterr().out
+
+
+def test_a_real_run_in_process(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("short.yaml").write_text(
+        "motor: seed_750\nspeed_rpm: 750\nduration: 0.08\nwindow_s: [0.04, 0.08]\n"
+        "plant: {load_torque: 2.0, oversampling: 20}\n"
+    )
+    line = "run short.yaml --scheme mbpcc --scheme mls_mfpcc --engine inprocess --seed 5"
+    assert mfpcc(line) == 0, capsys.readouterr().err
+    out = tmp_path / "out" / "short"
+    rows = json.loads((out / "metrics.json").read_text())
+    assert [row["scheme"] for row in rows] == ["mbpcc", "mls_mfpcc"]
+    for row in rows:
+        assert (row["experiment"], row["engine"], row["seed"]) == ("short", "inprocess", 5)
+        assert (row["periods"], row["lost_periods"]) == (800, 0)
+        assert 0.1 < row["thd_percent"]["oversampled"] < 5
+    # What was the working folder's name must not be in what stays.
+    assert (out / "report.html").stat().st_size > 10_000
+    assert "partial-" not in (out / "report.html").read_text()
+    assert "partial-" not in (out / "metrics.json").read_text()
+    assert list((out / "figures").glob("*.png"))
+    assert mfpcc("compare out/short --out out/again") == 0
+    assert json.loads((tmp_path / "out/again/metrics.json").read_text()) == rows
 
 
 # --- What it says -------------------------------------------------------------------------------
