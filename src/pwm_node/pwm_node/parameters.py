@@ -170,7 +170,7 @@ class Table(Mapping[str, Parameter]):
         The parameters; their names must differ.
     check : callable, optional
         Rule across several parameters: gets the complete values and returns the reason for
-        rejecting them, or None. It is also called for values that no single rule rejects only.
+        rejecting them, or None. It is called only with values that each are acceptable.
     """
 
     def __init__(
@@ -246,6 +246,10 @@ class Table(Mapping[str, Parameter]):
             if reason is not None:
                 raise ParameterError(reason)
         return accepted
+
+    def extended(self, *parameters: Parameter) -> Table:
+        """Return a table with more parameters and the same rule across parameters."""
+        return Table([*self._parameters.values(), *parameters], self._check)
 
     def complete(self, changes: Mapping[str, Any]) -> dict[str, Value]:
         """Return all values of a node that starts with these changes to the defaults."""

@@ -1,0 +1,222 @@
+"""Publishers and subscriptions of the messages that travel every period.
+
+They carry serialized messages (see `pwm_node.wire`), reliably. Publishers keep all that somebody
+has not got yet, so that a recorder loses nothing: one that is slow slows the loop down instead.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+if TYPE_CHECKING:
+    from pwm_node.node import PwmNode
+
+PUBLISH = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+SUBSCRIBE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+# A subscriber that was killed holds a publisher up until the middleware declares it dead (20 s).
+_PATIENCE = 30.0  # s
+_FLUSH = 4.0  # s
+
+
+class PublishError(RuntimeError):
+    """A message that cannot be got rid of."""
+
+
+class LoopPublisher:
+    """Publisher of one message per period.
+
+    Parameters
+    ----------
+    node : PwmNode
+        The node that publishes.
+    msg_class : type
+        Message class.
+    topic : str
+        Topic name, relative.
+    """
+
+    def __init__(self, node: PwmNode, msg_class: Any, topic: str) -> None:
+        self._node = node
+        self._msg_class = msg_class
+        self._name = topic
+        self._matches = 0
+        self._sent_at_match: int | None = None  # None: nothing was sent yet
+        self._settled_match = 0
+        self._known: set[bytes] = set()
+        self._create()
+
+    def _create(self) -> None:
+        self._total = 0
+        self._publisher = self._node.create_publisher(
+            self._msg_class,
+            self._name,
+            PUBLISH,
+            event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
+        )
+        self.topic: str = self._publisher.topic_name
+        # The method around it would cost as much again as the publishing itself.
+        self._publish_raw = self._publisher.handle.publish_raw
+
+    def _on_matched(self, status: Any) -> None:
+        # The changes that come with it are not to be trusted: of the first match they say 0.
+        if status.total_count > self._total:
+            self._total = status.total_count
+            self._matches += 1
+
+    @property
+    def listeners(self) -> int:
+        """Number of subscribers that are matched, and so get what is published."""
+        count: int = self._publisher.get_subscription_count()
+        return count
+
+    def copy_to(self, sink: Callable[[bytes], None]) -> None:
+        """Hand each message that is published to `sink` too: the in-line recording."""
+        publish = self.publish
+
+        def publish_and_copy(data: bytes) -> None:
+            publish(data)
+            sink(data)
+
+        self.publish = publish_and_copy  # type: ignore[method-assign]
+
+    def repeat(self, data: bytes) -> None:
+        """Publish a message again that somebody has missed; a recording has it already."""
+        LoopPublisher.publish(self, data)
+
+    def publish(self, data: bytes) -> None:
+        """Publish a serialized message."""
+        self._sent_at_match = self._matches
+        try:
+            self._publish_raw(data)
+        except rclpy_implementation.RCLError as error:
+            self._publish_patiently(data, error)
+
+    @property
+    def new_listener(self) -> bool:
+        """True if a subscriber came since the last message was sent, and so has not got it."""
+        return self._sent_at_match is not None and self._matches != self._sent_at_match
+
+    def settle(self) -> None:
+        """Take notice of subscribers that came; called now and then, off the per-period path.
+
+        Within one process, Fast DDS 2.14 never delivers to a new subscriber what is published
+        until the publisher's history was replaced by later messages; with a history that keeps
+        all, that is never, and publishing fails once it is full (5000 messages). A subscriber in
+        another process is not affected. So for a newcomer in this process a publisher that was
+        used begins anew, with an empty history.
+        """
+        if self._settled_match == self._matches:
+            return
+        self._settled_match = self._matches
+        here, elsewhere = self._subscribers()
+        newcomers = here - self._known
+        self._known = here
+        if newcomers and self._sent_at_match is not None:
+            if elsewhere:
+                self.flush(_FLUSH)
+            self._node.destroy_publisher(self._publisher)
+            self._create()
+
+    def flush(self, seconds: float) -> bool:
+        """Wait until each subscriber has got all; return whether that is so.
+
+        Subscribers in other processes say so every 3 s only, so this is for the end of a recording.
+        """
+        return bool(self._publisher.wait_for_all_acked(Duration(seconds=seconds)))
+
+    def destroy(self) -> None:
+        """Remove the publisher from its node."""
+        self._node.destroy_publisher(self._publisher)
+
+    def _subscribers(self) -> tuple[set[bytes], set[bytes]]:
+        """Return the identifiers of the subscribers in this process, and of those elsewhere."""
+        # The first 8 bytes of a Fast DDS identifier name vendor, host and process.
+        node = (self._node.get_name(), self._node.get_namespace())
+        own = {
+            bytes(info.endpoint_gid)[:8]
+            for info in self._node.get_publishers_info_by_topic(self.topic)
+            if (info.node_name, info.node_namespace) == node
+        }
+        gids = {
+            bytes(info.endpoint_gid)
+            for info in self._node.get_subscriptions_info_by_topic(self.topic)
+        }
+        here = {gid for gid in gids if gid[:8] in own}
+        return here, gids - here
+
+    def _publish_patiently(self, data: bytes, error: Exception) -> None:
+        """Publish where it just failed since somebody takes nothing; each attempt lasts 0.1 s."""
+        began = time.monotonic()
+        told = False
+        while self._node.context.ok() and not self._node.stopping:
+            try:
+                self._publish_raw(data)
+            except rclpy_implementation.RCLError as again:
+                error = again
+            else:
+                if told:
+                    self._node.get_logger().info(f"{self.topic}: goes on")
+                return
+            waited = time.monotonic() - began
+            if waited > _PATIENCE:
+                raise PublishError(
+                    f"{self.topic}: a subscriber has taken nothing for {waited:.0f} s; stop it "
+                    f"(see 'ros2 topic info -v {self.topic}')"
+                ) from error
+            if waited > 1.0 and not told:
+                told = True
+                self._node.get_logger().warning(
+                    f"{self.topic}: a subscriber takes no more messages; waiting for it, since "
+                    "nothing may be lost (one that was killed is given up after 20 s)"
+                )
+
+
+class LoopSubscription:
+    """Subscription of one message per period.
+
+    Parameters
+    ----------
+    node : PwmNode
+        The node that subscribes.
+    msg_class : type
+        Message class.
+    topic : str
+        Topic name, relative.
+    callback : callable
+        Gets each serialized message.
+    start : str
+        What a user types to start who publishes it.
+    """
+
+    def __init__(
+        self,
+        node: PwmNode,
+        msg_class: Any,
+        topic: str,
+        callback: Callable[[bytes], None],
+        start: str,
+    ) -> None:
+        self._node = node
+        self.msg_class = msg_class
+        self.callback = callback
+        self.start = start
+        self.name = topic
+        self.subscription = node.create_subscription(
+            msg_class, topic, callback, SUBSCRIBE, raw=True
+        )
+        self.topic: str = self.subscription.topic_name
+        # Taken without an executor: ``take(msg_class, True)`` returns (bytes, info) or None.
+        self.take: Callable[[Any, bool], Any] = self.subscription.handle.take_message
+        self.direct = False
+
+    def destroy(self) -> None:
+        """Remove the subscription from its node."""
+        self._node.destroy_subscription(self.subscription)

@@ -1,0 +1,449 @@
+"""A managed node at PWM rate: parameters from a table, life cycle, a watch, diagnostics.
+
+All here happens off the per-period path. On it, a subclass takes a message, calls its core and
+publishes; it counts in `period`, so that the watch can see that the loop goes on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Protocol
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.task import Future
+
+from pwm_node import names, ros_parameters, schedule
+from pwm_node.diagnostics import Level, Part, StepTimes
+from pwm_node.loop_topics import LoopPublisher, LoopSubscription
+from pwm_node.parameters import Parameter, ParameterError, Table, Value
+
+AUTOSTART = Parameter(
+    "autostart", True, "Configure and activate at start, without being told to", read_only=True
+)
+
+_WATCH_PERIOD = 0.05  # s
+_STALL_STEP = 0.5  # s
+_SILENT_AFTER = 4.0  # s: reported well within 5
+_NEVER = 1 << 63
+
+
+class Core(Protocol):
+    """The part of a node that knows nothing of ROS."""
+
+    def apply(self, changes: Mapping[str, Value]) -> None:
+        """Take over changed parameters, between two periods."""
+
+
+class PwmNode(LifecycleNode):
+    """Base of the nodes on the loop.
+
+    Subclasses override `configure`, `activate`, `deactivate` and `cleanup`, which may raise to
+    refuse; `on_stall`; and `diagnostics`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    table : Table
+        Its parameters. If it has a `schedule`, it has a `pwm_frequency` too.
+    also_known : iterable of str
+        Names of parameters that may be set at start although they are another node's: those of a
+        node in the same process, which shares the command line.
+    **options
+        Passed to `LifecycleNode`: context, namespace, parameter_overrides, ...
+
+    Attributes
+    ----------
+    values : dict
+        All parameter values.
+    core : Core, optional
+        Told of changed parameters, once it is set.
+    active : bool
+        True between activation and deactivation.
+    stopping : bool
+        True once the process was asked to end.
+    period : int
+        Number of the latest period; the subclass counts.
+    awaited : LoopSubscription, optional
+        The message that lets the loop go on: the first loop subscription, unless set otherwise.
+        None while nothing is due, after the end of a run for instance.
+    missed_periods, lost_periods : int
+        Totals for the diagnostics; the subclass counts.
+    finished : Future
+        Done when the node has done what it was there for, which ends the run.
+    step_times : StepTimes
+        Durations of steps for the diagnostics; the subclass adds.
+    tap : callable, optional
+        Given a loop topic, returns what is handed each message that is published on it: the
+        in-line recording. To be set before the node is configured.
+    next_change : int
+        Period in which `apply_due` has something to do.
+    """
+
+    core: Core | None = None
+    tap: Callable[[str], Callable[[bytes], None]] | None = None
+    hardware_id = ""
+
+    def __init__(
+        self, name: str, table: Table, *, also_known: Iterable[str] = (), **options: Any
+    ) -> None:
+        super().__init__(name, **options)
+        self.table = table if AUTOSTART.name in table else table.extended(AUTOSTART)
+        self.active = False
+        self.stopping = False
+        self.finished = Future()
+        self.period = -1
+        self.awaited: LoopSubscription | None = None
+        self.missed_periods = 0
+        self.lost_periods = 0
+        self.step_times = StepTimes()
+        self.loop_publishers: list[LoopPublisher] = []
+        self.loop_subscriptions: list[LoopSubscription] = []
+        try:
+            self.values = self._declare(set(also_known))
+            self._schedule = self._read_schedule()
+        except ValueError:
+            self.destroy_node()
+            raise
+        self.next_change = self._schedule[0][0] if self._schedule else _NEVER
+
+        self._seen_period = self.period
+        self._progress_at = time.monotonic()
+        self._next_stall = _STALL_STEP
+        self._reported: LoopSubscription | None = None
+        self._told_at = self._progress_at
+        self._told_period = self.period
+        self._told_faults = 0
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(_WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    # Parameters -----------------------------------------------------------------------------
+
+    def _declare(self, also_known: set[str]) -> dict[str, Value]:
+        """Declare the table, with the values given at start, and return all values."""
+        # rclpy has no public way to see what was given for parameters before they are declared.
+        given = self._parameter_overrides
+        changes: dict[str, Any] = {}
+        for name, parameter in given.items():
+            if name in self.table:
+                changes[name] = ros_parameters.from_ros(self.table[name], parameter.value)
+            elif not (
+                self.has_parameter(name) or name in also_known or name.startswith("qos_overrides.")
+            ):
+                raise ParameterError(names.unknown("parameter", name, self.table))
+        values = self.table.complete(changes)
+        for name, parameter in self.table.items():
+            self.declare_parameter(
+                name,
+                ros_parameters.to_ros(parameter, values[name]).value,
+                ros_parameters.descriptor(parameter),
+                ignore_override=True,
+            )
+        self.add_on_set_parameters_callback(self._on_set)
+        self.add_post_set_parameters_callback(self._post_set)
+        return values
+
+    def set_parameters(self, parameter_list: list[RosParameter]) -> list[SetParametersResult]:
+        """Set parameters one by one."""
+        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+        """Set parameters together; all requests from outside come through here.
+
+        The table goes first, since it tells more than rclpy's own checks, and takes 5 for 5.0.
+        """
+        try:
+            accepted = self._validate(parameter_list)
+            for parameter in parameter_list:
+                if parameter.name not in self.table and not self.has_parameter(parameter.name):
+                    raise ParameterError(names.unknown("parameter", parameter.name, self.table))
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=error.reason)
+        return super().set_parameters_atomically(
+            [
+                ros_parameters.to_ros(self.table[parameter.name], accepted[parameter.name])
+                if parameter.name in accepted
+                else parameter
+                for parameter in parameter_list
+            ]
+        )
+
+    def _validate(self, parameters: Sequence[RosParameter]) -> dict[str, Value]:
+        """Check changes; parameters that are rclpy's own (use_sim_time) are not in the table."""
+        changes = {
+            parameter.name: ros_parameters.from_ros(self.table[parameter.name], parameter.value)
+            for parameter in parameters
+            if parameter.name in self.table
+        }
+        return self.table.validate(changes, self.values)
+
+    def _on_set(self, parameters: list[RosParameter]) -> SetParametersResult:
+        try:
+            self._validate(parameters)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=error.reason)
+        return SetParametersResult(successful=True)
+
+    def _post_set(self, parameters: list[RosParameter]) -> None:
+        # Callbacks run one after the other, so this is between two periods.
+        changes = self._validate(parameters)
+        self.values.update(changes)
+        if changes and self.core is not None:
+            self.core.apply(changes)
+            self.parameters_changed(changes)
+
+    def parameters_changed(self, changes: Mapping[str, Value]) -> None:
+        """Follow changes that concern the node itself; called after the core was told."""
+
+    def _read_schedule(self) -> list[tuple[int, schedule.Changes]]:
+        if "schedule" not in self.table:
+            return []
+        entries: Any = self.values["schedule"]
+        frequency: Any = self.values["pwm_frequency"]
+        return schedule.parse(entries, self.table, 1.0 / frequency, self.values)
+
+    def apply_due(self, period: int) -> None:
+        """Apply the scheduled changes up to a period: call it if ``period >= next_change``."""
+        while self._schedule and self._schedule[0][0] <= period:
+            due, changes = self._schedule.pop(0)
+            result = self.set_parameters_atomically(
+                [ros_parameters.to_ros(self.table[name], value) for name, value in changes.items()]
+            )
+            if not result.successful:
+                # A change from outside can stand against a rule across parameters.
+                self.get_logger().error(f"scheduled change of period {due}: {result.reason}")
+        self.next_change = self._schedule[0][0] if self._schedule else _NEVER
+
+    # Topics of the loop ---------------------------------------------------------------------
+
+    def create_loop_publisher(self, msg_class: Any, topic: str) -> LoopPublisher:
+        """Create a publisher of serialized messages at PWM rate; `cleanup` removes it."""
+        publisher = LoopPublisher(self, msg_class, topic)
+        if self.tap is not None:
+            publisher.copy_to(self.tap(topic))
+        self.loop_publishers.append(publisher)
+        return publisher
+
+    def create_loop_subscription(
+        self, msg_class: Any, topic: str, callback: Callable[[bytes], None], *, start: str
+    ) -> LoopSubscription:
+        """Create a subscription of serialized messages at PWM rate; `cleanup` removes it.
+
+        Parameters
+        ----------
+        msg_class : type
+            Message class.
+        topic : str
+            Topic name, relative.
+        callback : callable
+            Gets each serialized message.
+        start : str
+            What a user types to start who publishes it, for the report that it is silent.
+        """
+        subscription = LoopSubscription(self, msg_class, topic, callback, start)
+        self.loop_subscriptions.append(subscription)
+        if self.awaited is None:
+            self.awaited = subscription
+        return subscription
+
+    @property
+    def subscriptions(self) -> Iterator[Any]:
+        """The subscriptions an executor shall serve: not those that are taken directly."""
+        direct = [loop.subscription for loop in self.loop_subscriptions if loop.direct]
+        return (each for each in super().subscriptions if each not in direct)
+
+    def _destroy_loop_topics(self) -> None:
+        for publisher in self.loop_publishers:
+            publisher.destroy()
+        for subscription in self.loop_subscriptions:
+            subscription.destroy()
+        self.loop_publishers.clear()
+        self.loop_subscriptions.clear()
+        self.awaited = None
+
+    # Life cycle -----------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Get ready: make the core and the topics. Raise to refuse."""
+
+    def activate(self) -> None:
+        """Begin. Raise to refuse."""
+
+    def deactivate(self) -> None:
+        """Come to a safe rest."""
+
+    def cleanup(self) -> None:
+        """Give back what `configure` made; the topics of the loop are removed afterwards."""
+
+    def finish(self) -> None:
+        """End the run of this process: what the node was there for is done."""
+        if not self.finished.done():
+            self.finished.set_result(None)
+
+    def stop(self) -> None:
+        """Come to a safe rest before the process ends."""
+        self.stopping = True
+        if self.active and self.context.ok():
+            self.trigger_deactivate()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `configure` in the transition of the same name."""
+        result = self._transition("configure", self.configure)
+        if result != TransitionCallbackReturn.SUCCESS:
+            self._destroy_loop_topics()
+            return result
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `activate` in the transition of the same name."""
+        self._progress_at = time.monotonic()
+        self.active = True
+        result = self._transition("activate", self.activate)
+        self.active = result == TransitionCallbackReturn.SUCCESS
+        return super().on_activate(state) if self.active else result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `deactivate` in the transition of the same name."""
+        result = self._transition("deactivate", self.deactivate)
+        self.active = False
+        return super().on_deactivate(state) if result else result
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Run `cleanup` in the transition of the same name."""
+        result = self._transition("clean up", self.cleanup)
+        self._destroy_loop_topics()
+        return super().on_cleanup(state) if result else result
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Come to a safe rest first, if it was active."""
+        if self.active:
+            self._transition("deactivate", self.deactivate)
+            self.active = False
+        return super().on_shutdown(state)
+
+    def _transition(self, name: str, hook: Callable[[], None]) -> TransitionCallbackReturn:
+        # rclpy drops what a transition raises without a word, so it is said here.
+        try:
+            hook()
+        except Exception as error:  # noqa: BLE001 (whatever it is, it must be said)
+            self.get_logger().error(f"cannot {name}: {describe(error)}")
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    # Watch ----------------------------------------------------------------------------------
+
+    def on_stall(self, seconds: float) -> None:
+        """Get the loop going again; called every 0.5 s while `period` does not change.
+
+        A message that was sent before its receiver was there is lost. So a node sends its last
+        message again if ``publisher.new_listener``. It is called early then, too.
+        """
+
+    def _watch(self) -> None:
+        for publisher in self.loop_publishers:
+            publisher.settle()
+        now = time.monotonic()
+        stalled = now - self._progress_at
+        if self.period != self._seen_period or not self.active or self.awaited is None:
+            if self._reported is not None and self.active:
+                self.get_logger().info(f"{self._reported.topic}: goes on after {stalled:.1f} s")
+            self._reported = None
+            self._seen_period = self.period
+            self._progress_at = now
+            self._next_stall = _STALL_STEP
+        else:
+            if stalled >= _SILENT_AFTER and self._reported is None:
+                self._reported = self.awaited
+                self.get_logger().warning(self._silence(self.awaited, stalled))
+            if stalled >= self._next_stall or any(p.new_listener for p in self.loop_publishers):
+                self._next_stall = stalled + _STALL_STEP
+                self.on_stall(stalled)
+        if now - self._told_at >= 1.0:
+            self._tell(now)
+
+    def _silence(self, awaited: LoopSubscription, seconds: float) -> str:
+        if self.count_publishers(awaited.topic):
+            why = "who publishes it is there, but silent"
+        else:
+            why = "nobody publishes it"
+        return (
+            f"{awaited.topic}: nothing came for {seconds:.0f} s: {why}. Start it with "
+            f"'{awaited.start}' (waiting)"
+        )
+
+    # Diagnostics ----------------------------------------------------------------------------
+
+    def diagnostics(self) -> Iterable[Part]:
+        """Return what else there is to tell on ``/diagnostics``; called once a second."""
+        return ()
+
+    def _tell(self, now: float) -> None:
+        rate = (self.period - self._told_period) / (now - self._told_at)
+        self._told_at, self._told_period = now, self.period
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        name = self.get_fully_qualified_name().lstrip("/")
+        message.status = [
+            DiagnosticStatus(
+                level=bytes([part.level]),
+                name=f"{name}: {part.name}",
+                message=part.message,
+                hardware_id=self.hardware_id or name,
+                values=[KeyValue(key=key, value=_text(v)) for key, v in part.values.items()],
+            )
+            for part in (self._loop_part(rate), *self.diagnostics())
+        ]
+        self._diagnostics.publish(message)
+
+    def _loop_part(self, rate: float) -> Part:
+        median, p99, longest = self.step_times.percentiles(50, 99, 100)
+        faults = self.missed_periods + self.lost_periods
+        new_faults, self._told_faults = faults - self._told_faults, faults
+        level, text = Level.OK, "running"
+        if not self.active:
+            text = "inactive"
+        elif self._reported is not None:
+            level, text = Level.ERROR, f"{self._reported.topic} is silent"
+        elif new_faults > 0:
+            level, text = Level.WARN, f"{new_faults} periods missed or lost in the last second"
+        elif self.awaited is None:
+            text = "nothing to do"
+        elif rate == 0.0:
+            level, text = Level.WARN, f"waiting for {self.awaited.topic}"
+        return Part(
+            "loop",
+            text,
+            level,
+            {
+                "period": self.period,
+                "loop rate (Hz)": rate,
+                "missed periods": self.missed_periods,
+                "lost periods": self.lost_periods,
+                "step time median (us)": median,
+                "step time 99 % (us)": p99,
+                "step time maximum (us)": longest,
+            },
+        )
+
+
+def describe(error: BaseException) -> str:
+    """Return an error as one line: our own say all, of others the place is named too."""
+    text = str(error) or type(error).__name__
+    if isinstance(error, ValueError) and type(error) is not ValueError:
+        return text
+    place = ""
+    trace = error.__traceback__
+    while trace is not None:
+        place = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})"
+        trace = trace.tb_next
+    return f"{type(error).__name__}: {text}{place}"
+
+
+def _text(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
