@@ -19,8 +19,8 @@ from pmsm_sim.bridge import (
     solve,
     without_floating,
 )
-from pmsm_sim.inverter import leg_gate, switching_instants
 from pmsm_sim.ideal import MAX_STEP_ANGLE
+from pmsm_sim.inverter import leg_gate, switching_instants
 from pmsm_sim.machine import torque
 from pwm_node.compiled import kernel
 

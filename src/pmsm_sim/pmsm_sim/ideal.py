@@ -7,8 +7,8 @@ x = t / h in 0..1,
 
     i_d(t) = sum_n d_n x^n,    w_m i_q = sum_n x^n sum_j w_j q_(n-j),    ...
 
-One step of order 4 has the error of the classical Runge-Kutta step at half its cost, and the
-series gives the waveform at any instant besides.
+A step costs half of what a Runge-Kutta step of the same order does, the order can follow the length
+of the interval, and the series gives the waveform at any instant besides.
 """
 
 from __future__ import annotations
@@ -21,6 +21,10 @@ from pwm_node.compiled import kernel
 # Largest electrical angle (rad) that one step may cover: keeps the error of the integration
 # below 1e-9 A per period and the polynomials of `small_rotation` below rounding error.
 MAX_STEP_ANGLE = 0.06
+
+# Up to these lengths of a step (in periods) order 3 and 4 are enough; beyond, it is 5.
+_ORDER_3 = 0.06
+_ORDER_4 = 0.2
 
 _SQRT3_2 = 0.5 * math.sqrt(3.0)
 
@@ -35,15 +39,15 @@ def small_rotation(x):
 
 
 @kernel
-def _series(k, h, d_0, q_0, w_0, u_d0, u_q0):
+def _series(k, h, order, d_0, q_0, w_0, u_d0, u_q0):
     """Coefficients of i_d, i_q (A) and w_m (rad/s) over one step of length h (s).
 
-    `k` are the constants of the equations, `u_d0` and `u_q0` the voltage (V) in the rotor frame
-    at the start; it is constant in the stationary frame, so it turns with -w_m.
+    `k` are the constants of the equations, `order` is 3, 4 or 5, `u_d0` and `u_q0` the voltage (V)
+    in the rotor frame at the start; it is constant in the stationary frame, so it turns with -w_m.
     """
     inv_L_d, inv_L_q, R, L_d, L_q, psi_f, k_psi, k_L, k_B, k_tau = k
     h_d, h_q = h * inv_L_d, h * inv_L_q
-    h_2, h_3, h_4 = 0.5, 1.0 / 3.0, 0.25
+    h_2, h_3, h_4, h_5 = 0.5, 1.0 / 3.0, 0.25, 0.2
 
     d_1 = h_d * (u_d0 - R * d_0 + L_q * (w_0 * q_0))
     q_1 = h_q * (u_q0 - R * q_0 - w_0 * (L_d * d_0 + psi_f))
@@ -58,12 +62,14 @@ def _series(k, h, d_0, q_0, w_0, u_d0, u_q0):
     u_q2 = -h_2 * h * (w_0 * u_d1 + w_1 * u_d0)
 
     d_3 = h_3 * h_d * (u_d2 - R * d_2 + L_q * (w_0 * q_2 + w_1 * q_1 + w_2 * q_0))
-    q_3 = (
-        h_3
-        * h_q
-        * (u_q2 - R * q_2 - L_d * (w_0 * d_2 + w_1 * d_1 + w_2 * d_0) - psi_f * w_2)
-    )
+    q_3 = h_3 * h_q * (u_q2 - R * q_2 - L_d * (w_0 * d_2 + w_1 * d_1 + w_2 * d_0) - psi_f * w_2)
     w_3 = h_3 * h * (k_psi * q_2 + k_L * (d_0 * q_2 + d_1 * q_1 + d_2 * q_0) - k_B * w_2)
+    if order == 3:
+        return (
+            (d_0, d_1, d_2, d_3, 0.0, 0.0),
+            (q_0, q_1, q_2, q_3, 0.0, 0.0),
+            (w_0, w_1, w_2, w_3, 0.0, 0.0),
+        )
     u_d3 = h_3 * h * (w_0 * u_q2 + w_1 * u_q1 + w_2 * u_q0)
     u_q3 = -h_3 * h * (w_0 * u_d2 + w_1 * u_d1 + w_2 * u_d0)
 
@@ -73,24 +79,47 @@ def _series(k, h, d_0, q_0, w_0, u_d0, u_q0):
         * h_q
         * (u_q3 - R * q_3 - L_d * (w_0 * d_3 + w_1 * d_2 + w_2 * d_1 + w_3 * d_0) - psi_f * w_3)
     )
-    w_4 = h_4 * h * (k_psi * q_3 + k_L * (d_0 * q_3 + d_1 * q_2 + d_2 * q_1 + d_3 * q_0) - k_B * w_3)
-    return (d_0, d_1, d_2, d_3, d_4), (q_0, q_1, q_2, q_3, q_4), (w_0, w_1, w_2, w_3, w_4)
+    w_4 = (
+        h_4 * h * (k_psi * q_3 + k_L * (d_0 * q_3 + d_1 * q_2 + d_2 * q_1 + d_3 * q_0) - k_B * w_3)
+    )
+    if order == 4:
+        return (
+            (d_0, d_1, d_2, d_3, d_4, 0.0),
+            (q_0, q_1, q_2, q_3, q_4, 0.0),
+            (w_0, w_1, w_2, w_3, w_4, 0.0),
+        )
+    u_d4 = h_4 * h * (w_0 * u_q3 + w_1 * u_q2 + w_2 * u_q1 + w_3 * u_q0)
+    u_q4 = -h_4 * h * (w_0 * u_d3 + w_1 * u_d2 + w_2 * u_d1 + w_3 * u_d0)
+
+    d_5 = (
+        h_5
+        * h_d
+        * (u_d4 - R * d_4 + L_q * (w_0 * q_4 + w_1 * q_3 + w_2 * q_2 + w_3 * q_1 + w_4 * q_0))
+    )
+    w_d = w_0 * d_4 + w_1 * d_3 + w_2 * d_2 + w_3 * d_1 + w_4 * d_0
+    q_5 = h_5 * h_q * (u_q4 - R * q_4 - L_d * w_d - psi_f * w_4)
+    d_q = d_0 * q_4 + d_1 * q_3 + d_2 * q_2 + d_3 * q_1 + d_4 * q_0
+    w_5 = h_5 * h * (k_psi * q_4 + k_L * d_q - k_B * w_4)
+    return (
+        (d_0, d_1, d_2, d_3, d_4, d_5),
+        (q_0, q_1, q_2, q_3, q_4, q_5),
+        (w_0, w_1, w_2, w_3, w_4, w_5),
+    )
 
 
 @kernel
-def _at(series, x):
+def _at(a, x):
     """Value of a series."""
-    return series[0] + x * (series[1] + x * (series[2] + x * (series[3] + x * series[4])))
+    return a[0] + x * (a[1] + x * (a[2] + x * (a[3] + x * (a[4] + x * a[5]))))
 
 
 @kernel
 def _angle(w, h, x):
     """Electrical angle turned (rad) from the start of the step to x."""
-    return (
-        h
-        * x
-        * (w[0] + x * (0.5 * w[1] + x * (w[2] / 3.0 + x * (0.25 * w[3] + x * (0.2 * w[4])))))
-    )
+    sixth = 1.0 / 6.0
+    third = 1.0 / 3.0
+    rest = third * w[2] + x * (0.25 * w[3] + x * (0.2 * w[4] + x * (sixth * w[5])))
+    return h * x * (w[0] + x * (0.5 * w[1] + x * rest))
 
 
 @kernel
@@ -156,9 +185,10 @@ def integrate_ideal(par, st, c, s, i_abc, legs_out):
         if h > h_max or h * abs(w_m) > MAX_STEP_ANGLE:
             steps = math.ceil(max(h / h_max, h * abs(w_m) / MAX_STEP_ANGLE))
             h /= steps
+        order = 3 if h < _ORDER_3 * T_s else 4 if h < _ORDER_4 * T_s else 5
         for _ in range(steps):
             u_d, u_q = c * u_alpha + s * u_beta, c * u_beta - s * u_alpha
-            d, q, w = _series(constants, h, i_d, i_q, w_m, u_d, u_q)
+            d, q, w = _series(constants, h, order, i_d, i_q, w_m, u_d, u_q)
             if n_over > 0:
                 k = _oversample(T_s, t, h, c, s, d, q, w, legs, k, i_abc, legs_out)
             # what the flux linkage does not take of the voltage drops at the resistance, which

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from pwm_node.compiled import kernel
 
+
 @kernel
 def flux(par, i_d, i_q):
     """Flux linkage (psi_d, psi_q) (V s) and incremental inductances (L_dd, L_dq, L_qq) (H)."""
