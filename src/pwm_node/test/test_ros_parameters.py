@@ -4,10 +4,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rclpy.parameter import Parameter as RosParameter  # noqa: E402
+from rclpy.parameter import Parameter as RosParameter
 
-from pwm_node.parameters import ParameterError  # noqa: E402
-from pwm_node.schedule import ScheduleError  # noqa: E402
+from pwm_node.parameters import ParameterError
+from pwm_node.schedule import ScheduleError
 
 
 @pytest.fixture
