@@ -137,6 +137,14 @@ TABLE = Table(
             read_only=True,
         ),
         Parameter(
+            "recorders",
+            0,
+            "So many recorders are awaited before the first period, so that they miss nothing",
+            minimum=0,
+            maximum=100,
+            read_only=True,
+        ),
+        Parameter(
             "schedule",
             [],
             "Parameter changes at given simulated times, each 'SECONDS NAME VALUE'",

@@ -2,16 +2,244 @@
 
 Lock-step (`real_time_factor` 0): a period begins when its command has come, so a run is the same
 bit for bit however slow the machine. Paced: periods follow the wall clock, and a command that is
-not there in time is a missed period.
+not there in time is a missed period, which the inverter's policy handles.
 """
 
 from __future__ import annotations
 
 import sys
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
 
-from mfpcc_msgs.msg import DriveState, DutyCommand, PhaseFeedback
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.timer import Timer
+
+from mfpcc_msgs.msg import DriveState, DriveStatus, DutyCommand, PhaseFeedback
 from pmsm_sim.parameters import TABLE
-from pmsm_sim.plant import ACCEPTED, OUT_OF_RANGE, Plant, advance, latch
-from pwm_node.node import HOT_QOS, PwmNode
-from pwm_node.spin import main as run_node
+from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
+from pwm_node import spin
+from pwm_node.diagnostics import Level, Part
+from pwm_node.node import PwmNode
 from pwm_node.wire import Wire, WireError
+
+_LOOK_EVERY = 0.01  # s
+_START_CONTROLLER = "ros2 run mfpcc_controller controller"
+
+
+class PmsmSim(PwmNode):
+    """The plant as a node.
+
+    While the node is active the inverter follows the commands. While it is inactive time goes on
+    with blocked gates, and the motor coasts.
+
+    Parameters
+    ----------
+    **options
+        As of `PwmNode`.
+    """
+
+    core: Plant
+    hardware_id = "simulated inverter and motor"
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("pmsm_sim", TABLE, **options)
+        self._begin: Timer | None = None
+        self._pace: Timer | None = None
+        self._overruns = 0
+
+    # Life cycle -----------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Make the plant, at rest before period 0, and the topics."""
+        self.core = Plant(self.values)
+        n = self.core.oversampling
+        self._command = Wire(DutyCommand)
+        self._feedback = Wire(PhaseFeedback)
+        self._state = Wire(DriveState, i_abc_oversampled=3 * n, legs_oversampled=n)
+        self._decimation: int = self.values["state_decimation"]
+        self._periods: int = self.values["periods"]
+        self.period = -1
+        self._feedback_out = self.create_loop_publisher(PhaseFeedback, "phase_feedback")
+        self._state_out = self.create_loop_publisher(DriveState, "drive_state")
+        self._command_in = self.create_loop_subscription(
+            DutyCommand, "duty_command", self._on_command, start=_START_CONTROLLER
+        )
+        self._status_out = self.create_publisher(
+            DriveStatus,
+            "drive_status",
+            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+        )
+        self._told: tuple[Any, ...] = ()
+
+    def activate(self) -> None:
+        """Let the commands reach the gates; the first time, begin with period 0."""
+        if self.period < 0 and self._begin is None:
+            self._begin = self.create_timer(
+                _LOOK_EVERY, self._begin_when_heard, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
+        self._tell_status()
+
+    def _begin_when_heard(self) -> None:
+        """Begin once everybody is there who must not miss the first sample."""
+        recorders = self.values["recorders"]
+        if self._feedback_out.listeners > recorders and self._state_out.listeners >= recorders:
+            self._drop_begin()
+            self._advance()
+
+    def _drop_begin(self) -> None:
+        if self._begin is not None:
+            self.destroy_timer(self._begin)
+            self._begin = None
+
+    def deactivate(self) -> None:
+        """Block the gates from the next period on."""
+        self._tell_status()
+
+    def cleanup(self) -> None:
+        """Stop the clock of the paced mode."""
+        self._set_pace(None)
+        self._drop_begin()
+        self.destroy_publisher(self._status_out)
+
+    # The period -----------------------------------------------------------------------------
+
+    def _on_command(self, data: bytes) -> None:
+        """Take a command; in lock-step it is what the next period waits for."""
+        try:
+            self._command.load(data)
+        except WireError as error:
+            self.get_logger().error(f"duty_command refused: {error}", throttle_duration_sec=1.0)
+            return
+        answer = latch(self.core.st, self._command.fixed)
+        if answer == WRONG_PERIOD:
+            return  # counted; a repeated or a late one changes nothing
+        if answer == OUT_OF_RANGE:
+            duty = ", ".join(f"{d:g}" for d in self._command.fixed["duty"][0])
+            self.get_logger().error(
+                f"duty_command of period {self.period + 1} refused: duties [{duty}] are not "
+                "within 0..1; the period counts as missing",
+                throttle_duration_sec=1.0,
+            )
+        if self.values["real_time_factor"] > 0.0:
+            if self._pace is None:
+                self._set_pace(self.values["real_time_factor"])
+        else:
+            self._advance()
+
+    def _advance(self) -> None:
+        """Run the next period and publish its sample."""
+        k = self.period + 1
+        if k == self._periods and self._periods > 0:
+            # the answer to the last sample has come: all is said
+            self.awaited = None
+            self.period = k
+            self.finish()
+            return
+        if k > self._periods and self._periods > 0:
+            return
+        if k >= self.next_change:
+            self.apply_due(k)
+        core = self.core
+        if not self.active:
+            core.st["enable"] = False
+        tail = self._state.tail
+        advance(
+            core.par,
+            core.st,
+            self._feedback.fixed,
+            self._state.fixed,
+            tail["i_abc_oversampled"],
+            tail["legs_oversampled"],
+        )
+        self.period = k
+        self._feedback_out.publish(self._feedback.to_bytes())
+        if self._decimation and k % self._decimation == 0:
+            self._state_out.publish(self._state.to_bytes())
+
+    def on_stall(self, seconds: float) -> None:
+        """Send the last sample again to a controller that came after it was sent."""
+        if self._feedback_out.new_listener and self.period >= 0:
+            self._feedback_out.repeat(self._feedback.to_bytes())
+
+    # Paced mode -----------------------------------------------------------------------------
+
+    def parameters_changed(self, changes: Mapping[str, Any]) -> None:
+        """Follow a change of the pace."""
+        if "real_time_factor" not in changes or self.period < 0:
+            return
+        factor = changes["real_time_factor"]
+        self._set_pace(factor or None)
+        if not factor and bool(self.core.st["latched"][0]):
+            self._advance()  # back in lock-step, and the command for the next period is there
+
+    def _set_pace(self, factor: float | None) -> None:
+        if self._pace is not None:
+            self.destroy_timer(self._pace)
+            self._pace = None
+        if factor is not None:
+            self._tick_s = 1.0 / (self.values["pwm_frequency"] * factor)
+            self._next_tick = time.monotonic() + self._tick_s
+            self._pace = self.create_timer(
+                self._tick_s, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
+
+    def _on_tick(self) -> None:
+        """Begin a period, whether or not its command is there."""
+        late = time.monotonic() - self._next_tick
+        self._next_tick += self._tick_s
+        if late > self._tick_s:
+            # whole periods of wall time went by: leave them out and keep phase, no catching up
+            skipped = int(late / self._tick_s)
+            self._overruns += skipped
+            self._next_tick += skipped * self._tick_s
+        self._advance()
+        self.missed_periods = int(self.core.st["missed"][0])
+
+    # What it tells --------------------------------------------------------------------------
+
+    def diagnostics(self) -> Iterable[Part]:
+        """State of the inverter."""
+        if self.period < 0:
+            return
+        self._tell_status()
+        st = self.core.st[0]
+        tripped = bool(st["tripped"])
+        yield Part(
+            "inverter",
+            "tripped: COMMAND_LOST" if tripped else "gates on" if st["gates_on"] else "gates off",
+            Level.ERROR if tripped else Level.OK,
+            {
+                "missed commands": int(st["missed"]),
+                "refused commands": int(st["refused"]),
+                "periods left out (wall clock)": self._overruns,
+                "speed (r/min)": float(st["w_M"]) * 30.0 / 3.141592653589793,
+                "load torque (N m)": self.values["load_torque"],
+            },
+        )
+
+    def _tell_status(self) -> None:
+        """Publish `drive_status` if it has changed."""
+        tripped = bool(self.core.st["tripped"][0])
+        state = "tripped" if tripped else "running" if self.active else "ready"
+        enabled = bool(self.core.st["gates_on"][0])
+        if (state, enabled) == self._told:
+            return
+        self._told = (state, enabled)
+        status = DriveStatus(
+            period=max(self.period, 0), node=self.get_name(), state=state, enabled=enabled
+        )
+        stamp = self._feedback.fixed["stamp"][0]
+        status.stamp.sec, status.stamp.nanosec = int(stamp["sec"]), int(stamp["nanosec"])
+        self._status_out.publish(status)
+
+
+def main() -> int:
+    """Run the node until it is stopped."""
+    return spin.main(PmsmSim)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

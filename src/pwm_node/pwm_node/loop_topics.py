@@ -132,6 +132,10 @@ class LoopPublisher:
         """
         return bool(self._publisher.wait_for_all_acked(Duration(seconds=seconds)))
 
+    def flush(self) -> None:
+        """Wait until all subscribers have what was published, for two seconds at most."""
+        self._publisher.wait_for_all_acked(Duration(seconds=2.0))
+
     def destroy(self) -> None:
         """Remove the publisher from its node."""
         self._node.destroy_publisher(self._publisher)

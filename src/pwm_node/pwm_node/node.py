@@ -291,6 +291,9 @@ class PwmNode(LifecycleNode):
         self.stopping = True
         if self.active and self.context.ok():
             self.trigger_deactivate()
+        if self.context.ok():
+            for publisher in self.loop_publishers:
+                publisher.flush()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure` in the transition of the same name."""

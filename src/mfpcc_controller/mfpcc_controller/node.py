@@ -1,0 +1,229 @@
+"""The node `/mfpcc_controller`: the drive controller on the graph.
+
+It answers the sample of period k with the command for period k + 1.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.timer import Timer
+
+from mfpcc_controller.drive import Controller, control
+from mfpcc_controller.parameters import TABLE
+from mfpcc_msgs.msg import DriveReference, DriveStatus, DutyCommand, LutDiagnostics, PhaseFeedback
+from pwm_node import spin
+from pwm_node.diagnostics import Part
+from pwm_node.node import PwmNode
+from pwm_node.wire import Wire, WireError
+
+_LOOK_EVERY = 0.01  # s
+_START_PLANT = "ros2 run pmsm_sim pmsm_sim"
+
+
+class MfpccController(PwmNode):
+    """The controller as a node.
+
+    While the node is inactive it answers every sample with a command that blocks the gates.
+
+    Parameters
+    ----------
+    **options
+        As of `PwmNode`.
+    """
+
+    core: Controller
+    hardware_id = "drive controller"
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("mfpcc_controller", TABLE, **options)
+        self._held: Timer | None = None
+
+    # Life cycle -----------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Make the controller and the topics."""
+        self.core = Controller(self.values)
+        self._feedback = Wire(PhaseFeedback)
+        self._command = Wire(DutyCommand)
+        self._lut = Wire(LutDiagnostics)
+        self._lut.set_string("scheme", self.core.scheme)
+        self._decimation: int = self.values["diagnostics_decimation"]
+        self.period = -1
+        self._command_out = self.create_loop_publisher(DutyCommand, "duty_command")
+        self._lut_out = self.create_loop_publisher(LutDiagnostics, "lut_diagnostics")
+        self._feedback_in = self.create_loop_subscription(
+            PhaseFeedback, "phase_feedback", self._on_feedback, start=_START_PLANT
+        )
+        self._reference_in = self.create_subscription(
+            DriveReference, "reference", self._on_reference, 10
+        )
+        self._status_out = self.create_publisher(
+            DriveStatus,
+            "drive_status",
+            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+        )
+        self._told: tuple[Any, ...] = ()
+
+    def activate(self) -> None:
+        """Enable the inverter from the next command on."""
+        self._tell_status()
+
+    def deactivate(self) -> None:
+        """Block the gates, also if no further sample is answered."""
+        if self.period >= 0:
+            # what the plant waits for, should this process end now
+            self._command.fixed["period"] += 1
+            self._command.fixed["enable"] = False
+            self._command_out.publish(self._command.to_bytes())
+        self._tell_status()
+
+    def cleanup(self) -> None:
+        """Remove what is not on the loop."""
+        self._drop_held()
+        self.destroy_subscription(self._reference_in)
+        self.destroy_publisher(self._status_out)
+
+    # The period -----------------------------------------------------------------------------
+
+    def _on_feedback(self, data: bytes) -> None:
+        """Answer a sample with the command for the next period."""
+        feedback = self._feedback
+        try:
+            feedback.load(data)
+        except WireError as error:
+            self.get_logger().error(f"phase_feedback refused: {error}", throttle_duration_sec=1.0)
+            return
+        k = int(feedback.fixed["period"][0])
+        if k != self.period + 1 and not self._out_of_turn(k):
+            return
+        if k >= self.next_change:
+            self.apply_due(k)
+        core = self.core
+        tell = self._decimation > 0 and k % self._decimation == 0
+        begin = time.perf_counter_ns()
+        control(core.cfg, core.mem, feedback.fixed, self._command.fixed, self._lut.fixed, tell)
+        self.step_times.add(time.perf_counter_ns() - begin)
+        self.period = k
+        if not self.active:
+            self._command.fixed["enable"] = False
+        self._command_out.publish(self._command.to_bytes())
+        if tell:
+            self._lut_out.publish(self._lut.to_bytes())
+
+    def _out_of_turn(self, k: int) -> bool:
+        """Handle a sample that is not the next one; return whether to answer it."""
+        if k == self.period:
+            # the plant has not got the answer
+            self._command_out.repeat(self._command.to_bytes())
+            return False
+        if self.period < 0 and not self._heard():
+            return False
+        if k < self.period:
+            self.get_logger().info(f"the plant began anew (period {self.period}, then {k})")
+            self.core = Controller(self.values)
+        elif self.period >= 0:
+            self.lost_periods += k - self.period - 1
+        return True
+
+    def on_stall(self, seconds: float) -> None:
+        """Send the last command again to a plant that came after it was sent."""
+        if self._command_out.new_listener and self.period >= 0:
+            self._command_out.repeat(self._command.to_bytes())
+
+    def _heard(self) -> bool:
+        """Whether everybody is there who must not miss the first answer; else hold the sample."""
+        recorders = self.values["recorders"]
+        if self._command_out.listeners > recorders and self._lut_out.listeners >= recorders:
+            self._drop_held()
+            return True
+        if self._held is None:
+            self._held = self.create_timer(
+                _LOOK_EVERY,
+                lambda: self._on_feedback(self._feedback.to_bytes()),
+                clock=Clock(clock_type=ClockType.STEADY_TIME),
+            )
+        return False
+
+    def _drop_held(self) -> None:
+        if self._held is not None:
+            self.destroy_timer(self._held)
+            self._held = None
+
+    # References and parameters --------------------------------------------------------------
+
+    def _on_reference(self, message: DriveReference) -> None:
+        """Take a reference from outside: it replaces the parameters of the same meaning."""
+        if message.control_mode == DriveReference.SPEED:
+            changes = {"control_mode": "speed", "speed_ref_rpm": message.speed_rpm}
+        else:
+            changes = {
+                "control_mode": "current",
+                "i_d_ref": message.i_d,
+                "i_q_ref": message.i_q,
+            }
+        result = self.set_parameters_atomically(
+            [RosParameter(name, value=value) for name, value in changes.items()]
+        )
+        if not result.successful:
+            self.get_logger().warning(
+                f"reference refused: {result.reason}", throttle_duration_sec=1.0
+            )
+
+    def parameters_changed(self, changes: Mapping[str, Any]) -> None:
+        """Tell of a change of the scheme."""
+        if "scheme" in changes and self.period >= -1 and self.core is not None:
+            self._lut.set_string("scheme", self.core.scheme)
+            self._tell_status()
+
+    # What it tells --------------------------------------------------------------------------
+
+    def diagnostics(self) -> Iterable[Part]:
+        """State of the current control."""
+        if self.core is None:
+            return
+        mem = self.core.mem[0]
+        yield Part(
+            "current control",
+            self.core.scheme,
+            values={
+                "i_d (A)": float(mem["i_dq"].real),
+                "i_q (A)": float(mem["i_dq"].imag),
+                "i_d reference (A)": float(mem["i_dq_ref"].real),
+                "i_q reference (A)": float(mem["i_dq_ref"].imag),
+                "electrical speed (rad/s)": float(mem["w_m"]),
+            },
+        )
+
+    def _tell_status(self) -> None:
+        """Publish `drive_status` if it has changed."""
+        told = ("running" if self.active else "ready", self.core.scheme)
+        if told == self._told:
+            return
+        self._told = told
+        status = DriveStatus(
+            period=max(self.period, 0),
+            node=self.get_name(),
+            state=told[0],
+            enabled=self.active,
+            scheme=told[1],
+        )
+        stamp = self._feedback.fixed["stamp"][0]
+        status.stamp.sec, status.stamp.nanosec = int(stamp["sec"]), int(stamp["nanosec"])
+        self._status_out.publish(status)
+
+
+def main() -> int:
+    """Run the node until it is stopped."""
+    return spin.main(MfpccController)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,272 @@
+"""Plant and controller on a real graph: in one process (the fast way), or in two.
+
+`ros2 run mfpcc_experiments drive` runs both nodes in one process until stopped; the verb `run`
+records a scenario with `record_composed` or `record_separate`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import rclpy
+import yaml
+from ament_index_python.packages import get_package_prefix
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from mfpcc_controller.node import MfpccController
+from mfpcc_controller.parameters import TABLE as CONTROLLER
+from mfpcc_experiments.bag import BagWriter
+from mfpcc_experiments.progress import Tell
+from mfpcc_experiments.record import Recorder, sink
+from pmsm_sim.node import PmsmSim
+from pmsm_sim.parameters import TABLE as PLANT
+from pwm_node import spin
+from pwm_node.node import PwmNode
+
+_PROGRESS_EVERY = 0.1  # s
+_DISCOVERY = 0.3  # s: nodes on this machine are seen within a few hundredths
+_STALLED_AFTER = 20.0  # s
+_STOP_WITHIN = 10.0  # s
+
+
+class DriveError(Exception):
+    """The graph did not do what it should; the text says what happened and what to do."""
+
+
+# --- One process --------------------------------------------------------------------------------
+
+
+def record_composed(config: Mapping[str, Any], path: Path, periods: int, progress: Tell) -> None:
+    """Run both nodes in this process over real topics, and record what they publish in line.
+
+    Parameters
+    ----------
+    config : mapping
+        From `run.configuration`.
+    path : Path
+        The new bag.
+    periods : int
+        Number of periods; the plant ends the run after them.
+    progress : callable
+        Told the number of periods done.
+
+    Raises
+    ------
+    DriveError
+        If another drive is on the graph, or the run does not come to its end.
+    BagError
+        If the recording cannot be written.
+    """
+    plant_values, controller_values = _values(config)
+    with _context() as context:
+        plant = PmsmSim(context=context, parameter_overrides=_overrides(plant_values))
+        controller = MfpccController(
+            context=context, parameter_overrides=_overrides(controller_values)
+        )
+        _refuse_company(plant)
+        nodes: list[PwmNode] = [plant, controller]
+        plant.create_timer(
+            _PROGRESS_EVERY,
+            lambda: progress(max(plant.period, 0)),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        with BagWriter(path, config=config, oversampling=plant_values["oversampling"]) as writer:
+            for node in nodes:
+                node.tap = lambda topic: sink(writer, topic)
+            begin = time.monotonic()
+            code = spin.run(nodes, until=Future())
+            wall = time.monotonic() - begin
+            done = max(plant.period, 0)
+            median, p99 = controller.step_times.percentiles(50, 99)
+            writer.close(
+                {
+                    "step_time_us": {"median": median, "p99": p99},
+                    "lost_periods": controller.lost_periods,
+                    "missed_periods": plant.missed_periods,
+                    "wall_s": wall,
+                }
+            )
+        for node in nodes:
+            node.destroy_node()
+    if code or done < periods:
+        raise DriveError(
+            f"the run ended at period {done} of {periods}"
+            + (" after an error (see above)" if code else "; it was stopped")
+        )
+    progress(periods)
+
+
+def main() -> int:
+    """Run plant and controller in one process until stopped."""
+    return spin.main(
+        lambda: PmsmSim(also_known=CONTROLLER),
+        lambda: MfpccController(also_known=PLANT),
+    )
+
+
+# --- Two processes ------------------------------------------------------------------------------
+
+
+def record_separate(config: Mapping[str, Any], path: Path, periods: int, progress: Tell) -> None:
+    """Start plant and controller as processes of their own, and record from the graph.
+
+    Parameters and errors are those of `record_composed`.
+    """
+    plant_values, controller_values = (
+        {**values, "recorders": 1} for values in _values(config)
+    )
+    with contextlib.ExitStack() as stack:
+        context = stack.enter_context(_context())
+        writer = stack.enter_context(
+            BagWriter(path, config=config, oversampling=plant_values["oversampling"])
+        )
+        recorder = Recorder(writer, context=context)
+        stack.callback(recorder.destroy_node)
+        _refuse_company(recorder)
+        begin = time.monotonic()
+        controller = stack.enter_context(
+            _process("mfpcc_controller", "controller", controller_values)
+        )
+        plant = stack.enter_context(_process("pmsm_sim", "pmsm_sim", plant_values))
+        watch = _Watch(recorder, {"pmsm_sim": plant, "mfpcc_controller": controller}, periods)
+        recorder.create_timer(
+            _PROGRESS_EVERY,
+            lambda: progress(watch.look()),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        code = spin.run([recorder], until=watch.over)
+        writer.close({"gaps": recorder.gaps, "wall_s": time.monotonic() - begin})
+    done = recorder.last_period["phase_feedback"] + 1
+    if watch.trouble or code or done < periods:
+        raise DriveError(
+            f"the run ended at period {done} of {periods}: {watch.trouble or 'it was stopped'}"
+        )
+    lost = {topic: count for topic, count in recorder.gaps.items() if count}
+    if lost:
+        raise DriveError(f"the recording has gaps: {lost}")
+    progress(periods)
+
+
+class _Watch:
+    """Looks whether a run in several processes is over, and why."""
+
+    def __init__(
+        self, recorder: Recorder, processes: Mapping[str, subprocess.Popen[bytes]], periods: int
+    ) -> None:
+        self.over = Future()
+        self.trouble = ""
+        self._recorder = recorder
+        self._processes = processes
+        self._periods = periods
+        self._seen = -1
+        self._seen_at = time.monotonic()
+
+    def look(self) -> int:
+        """Return the number of periods recorded; complete `over` where the run is."""
+        last = self._recorder.last_period
+        now = time.monotonic()
+        if last["phase_feedback"] != self._seen:
+            self._seen, self._seen_at = last["phase_feedback"], now
+        died = [
+            name
+            for name, process in self._processes.items()
+            if process.poll() is not None
+            and not (name == "pmsm_sim" and process.returncode == 0)
+        ]
+        if last["phase_feedback"] == self._periods - 1 and last["duty_command"] == self._periods:
+            self._end("")
+        elif died:
+            self._end(
+                f"{died[0]} ended with exit code {self._processes[died[0]].returncode} (see above)"
+            )
+        elif now - self._seen_at > _STALLED_AFTER:
+            self._end(f"nothing came on phase_feedback for {_STALLED_AFTER:.0f} s")
+        return max(self._seen, 0)
+
+    def _end(self, trouble: str) -> None:
+        self.trouble = trouble
+        if not self.over.done():
+            self.over.set_result(None)
+
+
+@contextlib.contextmanager
+def _process(
+    package: str, executable: str, values: Mapping[str, Any]
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a node with these parameters; stop it at the end, by force where it does not."""
+    program = Path(get_package_prefix(package), "lib", package, executable)
+    with tempfile.TemporaryDirectory(prefix="mfpcc_") as folder:
+        file = Path(folder, "parameters.yaml")
+        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": _nonempty(values)}}))
+        process = subprocess.Popen(
+            [program, "--ros-args", "--params-file", str(file)],
+            # Ctrl-C is for this process, which stops them in order
+            start_new_session=True,
+        )
+        try:
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(_STOP_WITHIN)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+# --- Both ---------------------------------------------------------------------------------------
+
+
+def _values(config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    parameters = config["parameters"]
+    return dict(parameters["pmsm_sim"]), dict(parameters["mfpcc_controller"])
+
+
+def _nonempty(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters as ROS takes them: an empty list has no type there, and is the default."""
+    return {name: value for name, value in values.items() if value != []}
+
+
+def _overrides(values: Mapping[str, Any]) -> list[Parameter]:
+    return [Parameter(name, value=value) for name, value in _nonempty(values).items()]
+
+
+@contextlib.contextmanager
+def _context() -> Iterator[rclpy.Context]:
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield context
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def _refuse_company(node: Node) -> None:
+    """Raise if another drive is on this graph: the two would answer each other's samples."""
+    deadline = time.monotonic() + _DISCOVERY
+    while time.monotonic() < deadline:
+        for topic in ("phase_feedback", "duty_command"):
+            if node.count_publishers(topic):
+                domain = os.environ.get("ROS_DOMAIN_ID", "0")
+                raise DriveError(
+                    f"another drive publishes {topic} on this graph (ROS_DOMAIN_ID={domain}): "
+                    "stop it, or run with another ROS_DOMAIN_ID"
+                )
+        time.sleep(0.02)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

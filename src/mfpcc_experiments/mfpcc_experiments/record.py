@@ -1,0 +1,139 @@
+"""The node `/recorder`: everything on the loop, from a running graph into a bag."""
+
+from __future__ import annotations
+
+import argparse
+import struct
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import rclpy
+import rclpy.utilities
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+import mfpcc_msgs.msg
+from mfpcc_experiments.bag import LOOP_TOPICS, BagError, BagWriter
+from pwm_node import spin
+
+# Keep all and reliable: a recorder that cannot follow slows the loop down instead of losing.
+_KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+
+_STAMP_AND_PERIOD = struct.Struct("<4xiIQ")
+
+
+def sink(writer: BagWriter, topic: str) -> Callable[[bytes], None]:
+    """Return what appends serialized messages of one topic to a recording."""
+    write, unpack = writer.write, _STAMP_AND_PERIOD.unpack_from
+
+    def append(data: bytes) -> None:
+        sec, nanosec, _ = unpack(data)
+        write(topic, sec * 1_000_000_000 + nanosec, data)
+
+    return append
+
+
+class Recorder(Node):
+    """Writes every message of the loop into a bag.
+
+    A message that is repeated (a node sends its last one again to a peer that came late) is
+    written once.
+
+    Parameters
+    ----------
+    writer : BagWriter
+        Where the messages go; its owner closes it.
+    **options
+        As of `Node`.
+
+    Attributes
+    ----------
+    last_period : dict of int
+        Last period seen on each topic, -1 before the first.
+    gaps : dict of int
+        Periods missing between messages of each topic.
+    """
+
+    def __init__(self, writer: BagWriter, **options: Any) -> None:
+        super().__init__("recorder", **options)
+        self.last_period = dict.fromkeys(LOOP_TOPICS, -1)
+        self.gaps = dict.fromkeys(LOOP_TOPICS, 0)
+        self._steps: dict[str, int] = {}
+        for topic, type_name in LOOP_TOPICS.items():
+            msg_class = getattr(mfpcc_msgs.msg, type_name.rsplit("/", 1)[-1])
+            self.create_subscription(
+                msg_class, topic, self._writing(writer, topic), _KEEP_ALL, raw=True
+            )
+
+    def _writing(self, writer: BagWriter, topic: str) -> Callable[[bytes], None]:
+        last, write, unpack = self.last_period, writer.write, _STAMP_AND_PERIOD.unpack_from
+
+        def on_message(data: bytes) -> None:
+            sec, nanosec, period = unpack(data)
+            if period == last[topic]:
+                return
+            if last[topic] >= 0 and period != last[topic] + 1:
+                self._count_gap(topic, period)
+            last[topic] = period
+            write(topic, sec * 1_000_000_000 + nanosec, data)
+
+        return on_message
+
+    def _count_gap(self, topic: str, period: int) -> None:
+        """Count what is missing; a decimated topic steps by more than one from the start."""
+        step = period - self.last_period[topic]
+        if step < 0:
+            self.get_logger().warning(f"{topic}: began anew at period {period}")
+        elif self._steps.setdefault(topic, step) != step:
+            self.gaps[topic] += max(step - self._steps[topic], 0)
+
+
+def _arguments(argv: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="record", description="Record everything on the loop of a running drive."
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder of the new bag")
+    parser.add_argument("--force", action="store_true", help="replace a bag that is there")
+    return parser.parse_args(argv)
+
+
+def main() -> int:
+    """Record until stopped."""
+    arguments = _arguments(rclpy.utilities.remove_ros_args(sys.argv)[1:])
+    writer: BagWriter | None = None
+    recorder: Recorder | None = None
+
+    def make() -> Recorder:
+        nonlocal writer, recorder
+        writer = BagWriter(arguments.out, config={"engine": "ros"}, force=arguments.force)
+        recorder = Recorder(writer)
+        recorder.get_logger().info(
+            f"recording into {arguments.out}; what was published before is not in it"
+        )
+        return recorder
+
+    code = spin.main(make)
+    if writer is None or recorder is None:
+        return code
+    try:
+        writer.close({"gaps": recorder.gaps})
+    except BagError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return code or _report(recorder.last_period, recorder.gaps)
+
+
+def _report(last: Mapping[str, int], gaps: Mapping[str, int]) -> int:
+    """Say what was recorded; a gap is an error, never a silent loss."""
+    for topic, period in last.items():
+        print(f"{topic}: {'nothing' if period < 0 else f'up to period {period}'}")
+    lost = {topic: count for topic, count in gaps.items() if count}
+    for topic, count in lost.items():
+        print(f"error: {topic}: {count} periods are missing", file=sys.stderr)
+    return 1 if lost else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
