@@ -1,0 +1,292 @@
+"""The workspace is what its descriptions say; a set-up that fails says so, and is not trusted."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from ament_index_python import get_package_prefix, get_packages_with_prefixes
+
+ROOT = Path(__file__).resolve().parent.parent
+PYTHON_PACKAGES = sorted(file.parent.name for file in ROOT.glob("src/*/setup.py"))
+OURS = (*PYTHON_PACKAGES, "mfpcc_msgs", "mfpcc_config")
+FROM_ROS = get_packages_with_prefixes().keys()
+# rosdep knows no key for these; they come from requirements/run.txt alone.
+WITHOUT_KEY = ("lz4", "mcap", "rosbags", "zstandard")
+# The package of configuration files is used by name, and imported by nobody.
+USED_BY_NAME = {"pwm_node": {"mfpcc_config"}}
+
+EXECUTABLES = [
+    ("pmsm_sim", "pmsm_sim"),
+    ("mfpcc_controller", "controller"),
+    ("mfpcc_experiments", "drive"),
+    ("mfpcc_experiments", "record"),
+    ("mfpcc_experiments", "replay"),
+]
+
+
+def manifest(package: str) -> ElementTree.Element:
+    folder = ROOT / ("config" if package == "mfpcc_config" else f"src/{package}")
+    return ElementTree.parse(folder / "package.xml").getroot()
+
+
+def imports(folder: Path) -> set[str]:
+    """Top-level names of what the Python files below a folder import, less the standard library."""
+    names: set[str] = set()
+    for file in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                names.update(alias.name.split(".")[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                names.add(node.module.split(".")[0])
+    return names - sys.stdlib_module_names - {"conftest"}
+
+
+def dependencies(names: set[str]) -> set[str]:
+    """What package.xml calls some imported packages."""
+    return {
+        name if name in FROM_ROS else f"python3-{name}" for name in names if name not in WITHOUT_KEY
+    }
+
+
+# Packages -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_declared_dependencies_are_the_true_ones(package):
+    declared = {node.text for node in manifest(package).iter("exec_depend")}
+    used = dependencies(imports(ROOT / "src" / package / package) - {package})
+    assert declared == used | USED_BY_NAME.get(package, set())
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_dependencies_of_the_tests_are_declared(package):
+    declared = {
+        node.text
+        for kind in ("exec_depend", "test_depend")
+        for node in manifest(package).iter(kind)
+    }
+    used = dependencies(imports(ROOT / "src" / package / "test") - {package})
+    assert used <= declared
+
+
+def test_dependencies_point_one_way():
+    allowed = {
+        "pwm_node": set(),
+        "pmsm_sim": {"pwm_node", "mfpcc_msgs"},
+        "mfpcc_controller": {"pwm_node", "mfpcc_msgs"},
+        "mfpcc_experiments": {"pmsm_sim", "mfpcc_controller", "pwm_node", "mfpcc_msgs"},
+    }
+    for package, may in allowed.items():
+        used = imports(ROOT / "src" / package / package) & set(OURS)
+        assert used - {package} <= may, package
+
+
+def test_packages_agree_on_version_and_licence():
+    versions = {package: manifest(package).findtext("version") for package in OURS}
+    for package in PYTHON_PACKAGES:
+        setup = (ROOT / "src" / package / "setup.py").read_text()
+        versions[f"{package}/setup.py"] = re.search(r'version="(.+?)"', setup).group(1)
+    assert len(set(versions.values())) == 1, versions
+    assert {manifest(package).findtext("license") for package in OURS} == {"Apache-2.0"}
+
+
+def test_every_message_is_generated():
+    folder = ROOT / "src/mfpcc_msgs"
+    listed = re.findall(r"\bmsg/\w+\.msg", (folder / "CMakeLists.txt").read_text())
+    assert listed == sorted(f"msg/{file.name}" for file in folder.glob("msg/*.msg"))
+
+
+@pytest.mark.parametrize(("package", "executable"), EXECUTABLES)
+def test_executable_is_where_ros2_run_looks(package, executable):
+    file = Path(get_package_prefix(package), "lib", package, executable)
+    assert os.access(file, os.X_OK)
+
+
+def test_command_is_on_the_path():
+    assert Path(shutil.which("mfpcc") or "").parts[-3:] == ("mfpcc_experiments", "bin", "mfpcc")
+
+
+# Requirements ---------------------------------------------------------------------------------
+
+
+def locked(file: Path) -> dict[str, str]:
+    """Version and marker of each package that a lock file names."""
+    text = file.read_text().replace("\\\n", " ")
+    pinned = {}
+    for line in text.splitlines():
+        if not line.strip() or line.startswith("#"):
+            continue
+        hashes = r"(?: +--hash=sha256:[0-9a-f]{64})+ *"
+        match = re.fullmatch(rf"([\w.-]+)==([^ ]+)( ; .+?)?{hashes}", line)
+        assert match, f"{file.name}: {line[:80]}"
+        name, version, marker = match.groups()
+        pinned[name + (marker or "")] = version
+    return pinned
+
+
+def test_locks_hold_names_versions_and_hashes_only():
+    for file in sorted((ROOT / "requirements").iterdir()):
+        assert "://" not in file.read_text(), file.name
+    run, ros, seed = (locked(ROOT / f"requirements/{name}.txt") for name in ("run", "ros", "seed"))
+    assert run
+    assert seed
+    for name in run.keys() & ros.keys():  # they are installed together
+        assert run[name] == ros[name], name
+
+
+def test_all_that_is_imported_is_required():
+    used = {name for p in PYTHON_PACKAGES for name in imports(ROOT / "src" / p / p)} - {*FROM_ROS}
+    lines = (ROOT / "requirements/run.in").read_text().splitlines()
+    required = {re.split(r"[<>=\[ ]", line)[0] for line in lines if line and line[0] != "#"}
+    assert {"pyyaml" if name == "yaml" else name for name in used} == required
+
+
+# Set-up ---------------------------------------------------------------------------------------
+
+
+def run(
+    *command: str | Path, cwd: Path = ROOT, **variables: str
+) -> subprocess.CompletedProcess[str]:
+    environment = {"PATH": "/usr/bin:/bin", "HOME": os.environ.get("HOME", "/"), **variables}
+    return subprocess.run(
+        [str(part) for part in command],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=100,
+    )
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Path:
+    """Return a workspace with the set-up program and requirements that cannot be had."""
+    shutil.copytree(ROOT / "tools", tmp_path / "tools")
+    (tmp_path / "requirements").mkdir()
+    for name in ("seed", "run", "ros"):
+        lock = f"no-such-package-{name}==1.0 --hash=sha256:{'0' * 64}\n"
+        (tmp_path / f"requirements/{name}.txt").write_text(lock)
+    return tmp_path
+
+
+def test_unfit_python_is_told_in_a_sentence(empty):
+    python = empty / "python"
+    python.write_text('#!/bin/sh\necho "is Python 3.9.18, not 3.10 to 3.13"; exit 1\n')
+    python.chmod(0o755)
+    done = run(empty / "tools/set_up.sh", "environment", PYTHON=str(python))
+    assert done.returncode == 1
+    assert "needs CPython 3.10 to 3.13" in done.stderr
+    assert f"{python} is Python 3.9.18" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_another_ros_distribution_is_refused(empty):
+    program = (sys.executable, empty / "tools/set_up.py", "environment")
+    done = run(*program, ROS_DISTRO="kilted")
+    assert done.returncode == 1
+    assert "kilted" in done.stderr
+    assert "jazzy" in done.stderr
+    assert not (empty / ".venv").exists()
+
+
+def test_failing_step_is_named_shown_and_not_trusted(empty):
+    base = getattr(sys, "_base_executable", sys.executable)
+    for _ in range(2):  # the second call does not take what the first one left for a whole
+        done = run(
+            base, empty / "tools/set_up.py", "environment", PIP_NO_INDEX="1", PIP_FIND_LINKS=""
+        )
+        assert done.returncode == 1
+        assert "the step 'build tools' failed" in done.stderr
+        assert "no-such-package-seed" in done.stdout  # pip's own words
+        assert "venv ..." in done.stdout
+        assert not (empty / ".venv/.complete").exists()
+
+
+def test_nothing_is_done_when_all_is_there():
+    python = ROOT / ".venv/bin/python"
+    if not python.exists():
+        pytest.skip("this workspace was built without the set-up program")
+    variables = {k: v for k, v in os.environ.items() if k in ("ROS_DISTRO", "AMENT_PREFIX_PATH")}
+    done = run(python, ROOT / "tools/set_up.py", "environment", **variables)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+# Shells and CMake -----------------------------------------------------------------------------
+
+
+def lines_of(mapping: str) -> Iterator[tuple[str, str]]:
+    for line in mapping.splitlines():
+        name, _, value = line.partition("=")
+        yield name, value
+
+
+def shell(script: str, cwd: Path, **variables: str) -> Mapping[str, str]:
+    done = run("bash", "-euc", script, cwd=cwd, **variables)
+    assert done.returncode == 0, done.stderr
+    return dict(lines_of(done.stdout))
+
+
+def test_setup_bash_can_be_sourced_anywhere_and_twice(tmp_path):
+    names = "PATH AMENT_PREFIX_PATH ROS_AUTOMATIC_DISCOVERY_RANGE VIRTUAL_ENV"
+    show = f"for name in {names}; do echo $name=${{!name}}; done"
+    once = shell(f"source '{ROOT}/setup.bash'; {show}", tmp_path)
+    twice = shell(f"source '{ROOT}/setup.bash'; source '{ROOT}/setup.bash'; {show}", tmp_path)
+    assert once == twice
+    assert once["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert f"{ROOT}/install/mfpcc_experiments/bin" in once["PATH"].split(":")
+    chosen = shell(
+        f"source '{ROOT}/setup.bash'; {show}", tmp_path, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET"
+    )
+    assert chosen["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+
+
+def test_setup_bash_refuses_where_nothing_is_built(tmp_path):
+    shutil.copy(ROOT / "setup.bash", tmp_path)
+    done = run("bash", "-uc", f"source '{tmp_path}/setup.bash'; echo code $?", cwd=tmp_path)
+    assert done.stdout == "code 1\n"
+    assert f"make -C {tmp_path} build" in done.stderr
+    assert run("bash", tmp_path / "setup.bash").returncode == 1  # executed, not sourced
+
+
+@pytest.mark.parametrize("wheels", [False, True])
+def test_cmake_include_acts_on_the_wheels_only(tmp_path, wheels):
+    index = tmp_path / "venv/share/ament_index/resource_index/packages"
+    index.mkdir(parents=True)
+    if wheels:
+        (index / "rclpy").touch()
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / "CMakeLists.txt").write_text(
+        """cmake_minimum_required(VERSION 3.22)
+project(probe NONE)
+add_library(imported INTERFACE IMPORTED)
+set_target_properties(imported PROPERTIES
+  INTERFACE_INCLUDE_DIRECTORIES "/opt/python/cp312/include;/usr/include")
+function(report)
+  get_target_property(folders imported INTERFACE_INCLUDE_DIRECTORIES)
+  file(WRITE result "PREFIXES=$ENV{AMENT_PREFIX_PATH}\\nFOLDERS=${folders}\\n")
+endfunction()
+cmake_language(DEFER CALL report)
+"""
+    )
+    include = f"-DCMAKE_PROJECT_INCLUDE={ROOT}/tools/ros_wheels.cmake"
+    cmake = shutil.which("cmake")
+    venv = str(tmp_path / "venv")
+    variables = {"VIRTUAL_ENV": venv, "AMENT_PREFIX_PATH": "/elsewhere"}
+    done = run(cmake, "-S", source, "-B", tmp_path / "build", include, cwd=source, **variables)
+    assert done.returncode == 0, done.stderr
+    result = dict(lines_of((source / "result").read_text()))
+    if wheels:
+        assert result == {"PREFIXES": f"{venv}:/elsewhere", "FOLDERS": "/usr/include"}
+    else:
+        assert result["PREFIXES"] == "/elsewhere"
+        assert result["FOLDERS"] == "/opt/python/cp312/include;/usr/include"
