@@ -13,6 +13,9 @@ import click
 #: The file that every folder of results has, and by which it is known as one.
 MARK = "metrics.json"
 
+# A recording below this size (bytes) holds message definitions and next to no message.
+_EMPTY_BAG = 50_000
+
 
 class ResultFolderError(ValueError):
     """A place where the results cannot go; the text says why and what to do."""
@@ -50,7 +53,7 @@ def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
         yield partial
         _check(path, force)  # the work took its time: the folder may have appeared since
     except BaseException:
-        if any(partial.rglob("*.mcap")):
+        if any(bag.stat().st_size > _EMPTY_BAG for bag in partial.rglob("*.mcap")):
             click.echo(f"what was recorded until then is kept in {partial}", err=True)
         else:
             shutil.rmtree(partial, ignore_errors=True)

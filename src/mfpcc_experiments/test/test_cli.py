@@ -39,7 +39,7 @@ class Fake:
     ) -> None:
         bag = out_dir / scheme
         bag.mkdir()
-        (bag / f"{scheme}_0.mcap").write_bytes(b"")
+        (bag / f"{scheme}_0.mcap").write_bytes(bytes(100_000))
         progress(scenario.periods / 2)
         if self.failure is not None:
             raise self.failure
@@ -304,10 +304,10 @@ def test_a_failed_run_leaves_the_results_before_it_alone(fake: Fake) -> None:
 
 
 def fill(place: Path, name: str = "metrics.json", *, force: bool = False) -> None:
-    """Make results of one file; any but metrics.json stands for work that fails."""
+    """Make results of one large file; any but metrics.json stands for work that fails."""
     with result_folder(place, force=force) as folder:
         assert folder.parent == place.resolve().parent
-        (folder / name).write_text("new")
+        (folder / name).write_bytes(bytes(100_000))
         if name != "metrics.json":
             raise RuntimeError("the work failed")
 
