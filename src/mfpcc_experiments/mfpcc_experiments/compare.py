@@ -120,6 +120,54 @@ def write_whole(path: Path, text: str) -> None:
         raise
 
 
+# --- Differences -------------------------------------------------------------------------------
+
+
+def best(rows: Sequence[dict[str, Any]], key: Sequence[str]) -> list[bool]:
+    """
+    Which recordings are best in a figure of which less is better, beyond chance.
+
+    The parts of the windows (`metrics.scatter`) are compared by Welch's test: a recording is among
+    the best unless it is worse than the lowest with a probability of error below 1 %. Where that
+    leaves all of them, none is marked.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        Objects of ``metrics.json``.
+    key : sequence of str
+        Keys of the figure from the outside in.
+
+    Returns
+    -------
+    list of bool
+        One per row.
+    """
+    from scipy.stats import ttest_ind_from_stats
+
+    name = ".".join(key)
+    known = []
+    for row in rows:
+        spread = row["scatter"]
+        mean, std = spread["mean"].get(name), spread["std"].get(name)
+        known.append(None if mean is None else (mean, std, spread["parts"]))
+    if sum(entry is not None for entry in known) < 2:
+        return [False] * len(rows)
+    lowest = min(entry for entry in known if entry is not None)
+    among = []
+    for entry in known:
+        if entry is None:
+            among.append(False)
+        elif entry[0] == lowest[0]:
+            among.append(True)
+        elif entry[1] == 0.0 and lowest[1] == 0.0:
+            among.append(False)
+        else:
+            test = ttest_ind_from_stats(*entry, *lowest, equal_var=False, alternative="greater")
+            among.append(bool(test.pvalue >= 0.01))
+    return [False] * len(rows) if all(among) else among
+
+
 # --- The table ---------------------------------------------------------------------------------
 
 #: What the tables show: text, unit, how to find it in a row, and whether less is better.
@@ -208,8 +256,10 @@ def print_table(rows: Sequence[dict[str, Any]]) -> None:
     for name in names:
         table.add_column(escape(name), justify="right", overflow="fold")
     table.add_column("", style="dim")
-    for title, unit, key, _ in COLUMNS:
+    for title, unit, key, less_is_better in COLUMNS:
         cells = [text(row, key, unit) for row in rows]
+        marks = best(rows, key) if less_is_better else [False] * len(rows)
+        cells = [f"[bold]{c}[/bold]" if m else c for c, m in zip(cells, marks, strict=True)]
         if any(cell != "–" for cell in cells):
             table.add_row(title, *cells, unit)
     Console(highlight=False).print(table)

@@ -15,6 +15,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from mfpcc_experiments import metrics
@@ -27,7 +28,7 @@ REFERENCE = "#000000"
 #: Electrical periods shown of the phase currents: in a steady state, and around a transient.
 STEADY_PERIODS, TRANSIENT_PERIODS = 2.0, 5.0
 
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "font.size": 8.0,
     "axes.titlesize": 9.0,
     "axes.labelsize": 8.0,
@@ -94,8 +95,8 @@ def _panels(
     """One column per run, one row per quantity; scales are shared within a row."""
     n = len(runs)
     width = max(3.5, 0.45 + 2.25 * n)
-    figure = Figure(figsize=(width, 0.75 + height * len(rows)), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03, wspace=0.06)  # type: ignore[union-attr]
+    layout = ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, wspace=0.06)
+    figure = Figure(figsize=(width, 0.75 + height * len(rows)), layout=layout)
     axes = figure.subplots(len(rows), n, sharex="all", sharey="row", squeeze=False)
     for row, label in enumerate(rows):
         axes[row][0].set_ylabel(label)
@@ -237,7 +238,7 @@ def lut_error(runs: Sequence[Measured]) -> Figure | None:
 
 def spectrum(runs: Sequence[Measured]) -> Figure | None:
     """Spectrum of the phase current relative to its fundamental, to half the sampling rate."""
-    parts = []
+    parts: list[tuple[tuple[Any, Any], float, float] | None] = []
     for run in runs:
         w = run.window
         if w.fine_abc is not None and w.fine_theta is not None:

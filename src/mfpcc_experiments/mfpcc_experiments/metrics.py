@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -467,6 +468,10 @@ class Window:
         Times of the diagnostics (s), which may be decimated.
     fine_time, fine_theta, fine_abc, fine_dq : ndarray or None
         The same on the oversampled waveform (true currents), n * oversampling long.
+    state_time : ndarray, shape (s,)
+        Times of the plant's states (s), which may be decimated, or may not be there.
+    torque : ndarray, shape (s,)
+        Electromagnetic torque (N m).
     """
 
     begin: float
@@ -482,6 +487,45 @@ class Window:
     fine_theta: Array | None
     fine_abc: Array | None
     fine_dq: NDArray[np.complex128] | None
+    state_time: Array
+    torque: Array
+
+    def between(self, begin: float, end: float) -> Window:
+        """
+        Return a part of the window.
+
+        Parameters
+        ----------
+        begin, end : float
+            From and to (s); the end is not included.
+        """
+
+        def rows(time: Array) -> slice:
+            return slice(*np.searchsorted(time, (begin, end)))
+
+        n, m, s = rows(self.time), rows(self.lut_time), rows(self.state_time)
+        fine = None if self.fine_time is None else rows(self.fine_time)
+
+        def part(values: Any, rows: slice | None) -> Any:
+            return None if values is None or rows is None else values[rows]
+
+        return Window(
+            begin=begin,
+            end=end,
+            time=self.time[n],
+            theta=self.theta[n],
+            i_abc=self.i_abc[n],
+            i_dq=self.i_dq[n],
+            lut_time=self.lut_time[m],
+            i_dq_ref=part(self.i_dq_ref, m),
+            error=part(self.error, m),
+            fine_time=part(self.fine_time, fine),
+            fine_theta=part(self.fine_theta, fine),
+            fine_abc=part(self.fine_abc, fine),
+            fine_dq=part(self.fine_dq, fine),
+            state_time=self.state_time[s],
+            torque=self.torque[s],
+        )
 
 
 def cut(recording: Recording, window_s: Sequence[float] | None = None) -> Window:
@@ -532,11 +576,11 @@ def cut(recording: Recording, window_s: Sequence[float] | None = None) -> Window
     else:
         i_dq = to_dq(i_abc, n_p * unwrap(feedback["encoder_angle"]))
 
+    rows = window_rows(recording.state["period"], window_s, T_s)
+    state = recording.state[rows]
     fine_time = fine_theta = fine_abc = fine_dq = None
-    fine = recording.i_abc_oversampled
-    if fine is not None:
-        rows = window_rows(recording.state["period"], window_s, T_s)
-        state, fine = recording.state[rows], fine[rows]
+    if recording.i_abc_oversampled is not None:
+        fine = recording.i_abc_oversampled[rows]
         if len(state) >= 8:
             factor = fine.shape[1]
             fine_time = (state["period"][:, None] + np.arange(factor) / factor).ravel() * T_s
@@ -557,6 +601,8 @@ def cut(recording: Recording, window_s: Sequence[float] | None = None) -> Window
         fine_theta=fine_theta,
         fine_abc=fine_abc,
         fine_dq=fine_dq,
+        state_time=state["period"] * T_s,
+        torque=state["torque"],
     )
 
 
@@ -594,6 +640,129 @@ def _or_none(value: float | None, factor: float = 1.0) -> float | None:
     return None if value is None or not math.isfinite(value) else factor * value
 
 
+def _figures(w: Window) -> dict[str, Any]:
+    """The figures of merit that can be taken of a window, or of a part of it."""
+    coarse = fundamental(w.i_abc[:, 0], w.theta)
+    fine = None
+    if w.fine_abc is not None and w.fine_theta is not None:
+        fine = fundamental(w.fine_abc[:, 0], w.fine_theta)
+    steady = is_steady(w.i_dq, w.theta)
+    pp: dict[str, float | None] = {
+        "d": ripple_pp(w.i_dq.real),
+        "q": ripple_pp(w.i_dq.imag),
+        "d_oversampled": None,
+        "q_oversampled": None,
+    }
+    if w.fine_dq is not None and len(w.fine_dq):
+        pp["d_oversampled"] = ripple_pp(w.fine_dq.real)
+        pp["q_oversampled"] = ripple_pp(w.fine_dq.imag)
+    error_max = error_rms = error_mean = None
+    if w.error is not None and w.i_dq_ref is not None and len(w.error):
+        error_max = _pair(np.max(np.abs(w.error), axis=0))
+        error_rms = _pair(np.sqrt(np.mean(w.error**2, axis=0)))
+        i_q = w.i_dq.imag
+        if len(i_q) != len(w.i_dq_ref):  # decimated diagnostics
+            i_q = np.interp(w.lut_time, w.time, i_q)
+        error_mean = float(np.mean(i_q - w.i_dq_ref.imag))
+    return {
+        "thd_percent": {
+            "control": _or_none(coarse.thd if coarse and steady else None, 100.0),
+            "oversampled": _or_none(fine.thd if fine and steady else None, 100.0),
+        },
+        "ripple_pp": pp,
+        "ripple_rms": _pair((ripple_rms(w.i_dq.real), ripple_rms(w.i_dq.imag))),
+        "lut_error_max": error_max,
+        "lut_error_rms": error_rms,
+        "i_d_mean": float(np.mean(w.i_dq.real)),
+        "i_q_error_mean": error_mean,
+        "torque_mean": float(np.mean(w.torque)) if len(w.torque) else None,
+        "torque_ripple_pp": ripple_pp(w.torque) if len(w.torque) else None,
+        "torque_ripple_rms": ripple_rms(w.torque) if len(w.torque) else None,
+    }
+
+
+#: Parts of a window, at most, that tell how much its figures scatter.
+PARTS = 10
+
+
+def parts(w: Window) -> list[Window]:
+    """
+    Divide a window into up to `PARTS` parts of equally many whole electrical periods.
+
+    Parameters
+    ----------
+    w : Window
+        From `cut`.
+
+    Returns
+    -------
+    list of Window
+        Empty where the window holds fewer than four periods, or a transient.
+    """
+    turned = np.abs(w.theta - w.theta[0])
+    step = turned[-1] / (len(turned) - 1)
+    periods = int((turned[-1] + 1.5 * step) / TWO_PI)
+    if periods < 4 or not is_steady(w.i_dq, w.theta):
+        return []
+    each = max(1, periods // PARTS)
+    T_s = float(w.time[-1] - w.time[0]) / (len(w.time) - 1)
+    borders = np.arange(0, periods + 1, each) * TWO_PI
+    sample = np.rint(np.interp(borders, turned, np.arange(len(turned))))
+    if borders[-1] > turned[-1]:
+        sample[-1] = len(turned)
+    # A little early, so that a border never falls on either side of a sample by rounding.
+    times = (w.time[0] + (sample - 1e-3) * T_s).tolist()
+    return [w.between(a, b) for a, b in pairwise(times)]
+
+
+def scatter(w: Window) -> dict[str, Any]:
+    """
+    Mean and standard deviation of each figure over the parts of a window.
+
+    They say whether two recordings differ by more than chance. The peak-to-peak and largest values
+    of a part are smaller than those of the whole window; compare parts with parts.
+
+    Parameters
+    ----------
+    w : Window
+        From `cut`.
+
+    Returns
+    -------
+    dict
+        ``parts`` (their number), and ``mean`` and ``std``: figures by their keys joined with dots.
+    """
+    rows = [_flat(_figures(part)) for part in parts(w)]
+    mean, std = {}, {}
+    for key in rows[0] if len(rows) > 1 else ():
+        values = [row[key] for row in rows if row[key] is not None]
+        if len(values) == len(rows):
+            mean[key] = float(np.mean(values))
+            std[key] = float(np.std(values, ddof=1))
+    return {"parts": len(rows), "mean": mean, "std": std}
+
+
+def _flat(data: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = value
+    return flat
+
+
+def _clean(value: Any) -> Any:
+    """NumPy numbers as Python's; NaN and infinity, which JSON does not know, as None."""
+    if isinstance(value, dict):
+        return {key: _clean(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_clean(entry) for entry in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> dict[str, Any]:
     """
     Measure one recording.
@@ -612,46 +781,14 @@ def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> d
     """
     w = cut(recording, window_s)
     T_s, config, summary = recording.T_s, recording.config, recording.summary
-
+    figures = _figures(w)
     coarse = fundamental(w.i_abc[:, 0], w.theta)
-    fine = None
-    if w.fine_abc is not None and w.fine_theta is not None:
-        fine = fundamental(w.fine_abc[:, 0], w.fine_theta)
-    steady = is_steady(w.i_dq, w.theta)
-    seconds = len(w.time) * T_s
-    turned = abs(w.theta[-1] - w.theta[0]) / TWO_PI * len(w.time) / (len(w.time) - 1)
-
-    pp: dict[str, float | None] = {
-        "d": ripple_pp(w.i_dq.real),
-        "q": ripple_pp(w.i_dq.imag),
-        "d_oversampled": None,
-        "q_oversampled": None,
-    }
-    if w.fine_dq is not None:
-        pp["d_oversampled"] = ripple_pp(w.fine_dq.real)
-        pp["q_oversampled"] = ripple_pp(w.fine_dq.imag)
-
-    error_max = error_rms = error_mean = None
-    if w.error is not None and w.i_dq_ref is not None:
-        error_max = _pair(np.max(np.abs(w.error), axis=0))
-        error_rms = _pair(np.sqrt(np.mean(w.error**2, axis=0)))
-        i_dq = w.i_dq if len(w.i_dq) == len(w.i_dq_ref) else None
-        if i_dq is None:
-            i_dq = np.interp(w.lut_time, w.time, w.i_dq.real) + 1j * np.interp(
-                w.lut_time, w.time, w.i_dq.imag
-            )
-        error_mean = float(np.mean(i_dq.imag - w.i_dq_ref.imag))
-
-    window = (w.begin, w.end)
-    state = recording.state[window_rows(recording.state["period"], window, T_s)]
-    command = recording.command[window_rows(recording.command["period"], window, T_s)]
-    torque = state["torque"] if len(state) else None
-    true_dq = state["i_dq"] if len(state) else np.stack([w.i_dq.real, w.i_dq.imag], axis=1)
-    square = float(np.mean(np.sum(np.square(true_dq), axis=1)))
+    command = recording.command[window_rows(recording.command["period"], (w.begin, w.end), T_s)]
+    speed = float(w.theta[-1] - w.theta[0]) / float(w.time[-1] - w.time[0])  # electrical, rad/s
+    square = float(np.mean(np.abs(w.i_dq if w.fine_dq is None else w.fine_dq) ** 2))
     R_s = config.get("R_s")
     step_time = summary.get("step_time_us") or {}
-
-    return {
+    row = {
         "experiment": config.get("experiment"),
         "scheme": recording.scheme_name,
         "motor": config.get("motor"),
@@ -660,38 +797,24 @@ def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> d
         "periods": len(recording.feedback),
         "lost_periods": recording.lost_periods,
         "window_s": [w.begin, w.end],
-        "thd_percent": {
-            "control": _or_none(coarse.thd if coarse and steady else None, 100.0),
-            "oversampled": _or_none(fine.thd if fine and steady else None, 100.0),
-        },
-        "ripple_pp": pp,
-        "ripple_rms": _pair((ripple_rms(w.i_dq.real), ripple_rms(w.i_dq.imag))),
-        "lut_error_max": error_max,
-        "lut_error_rms": error_rms,
-        "i_d_mean": float(np.mean(w.i_dq.real)),
-        "i_q_error_mean": _or_none(error_mean),
-        "speed_rpm_mean": float(
-            (w.theta[-1] - w.theta[0]) / (recording.n_p or 1) / ((len(w.time) - 1) * T_s)
-        )
-        * 60.0
-        / TWO_PI,
+        **figures,
+        "speed_rpm_mean": speed / (recording.n_p or 1) * 60.0 / TWO_PI,
         "step_time_us": {"median": step_time.get("median"), "p99": step_time.get("p99")},
-        # Beyond the contract
-        "steady": steady,
+        "steady": is_steady(w.i_dq, w.theta),
         "sampling_rate_hz": {
             "control": 1.0 / T_s,
             "oversampled": recording.oversampling / T_s if recording.oversampling else None,
         },
         "fundamental": {
-            "amplitude_a": _or_none(coarse.amplitude if coarse else None),
-            "frequency_hz": float(turned / seconds),
+            "amplitude_a": coarse.amplitude if coarse else None,
+            "frequency_hz": abs(speed) / TWO_PI,
             "periods": coarse.periods if coarse else 0,
         },
         "switching_frequency_hz": switching_frequency(command["duty"], T_s),
-        "torque_mean": None if torque is None else float(np.mean(torque)),
-        "torque_ripple_pp": None if torque is None else ripple_pp(torque),
-        "torque_ripple_rms": None if torque is None else ripple_rms(torque),
         "i_rms": math.sqrt(square / 2.0),
         "copper_loss_w": None if R_s is None else 1.5 * float(R_s) * square,
         "current_steps": _current_steps(recording),
+        "scatter": scatter(w),
     }
+    cleaned: dict[str, Any] = _clean(row)
+    return cleaned

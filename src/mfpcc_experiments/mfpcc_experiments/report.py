@@ -21,7 +21,7 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.compare import COLUMNS, text, value
+from mfpcc_experiments.compare import COLUMNS, best, text
 from mfpcc_experiments.measured import COLOURS, Measured, Signal
 
 #: Values per signal up to which all are stored. Of longer signals, the extremes of equal spans are,
@@ -149,21 +149,13 @@ def _notes(runs: Sequence[Measured]) -> list[str]:
 
 
 def _table(runs: Sequence[Measured]) -> list[tuple[str, str, list[tuple[str, bool]]]]:
-    """Rows of text, unit, and per run the figure and whether it is the best of several."""
+    """Rows of text, unit, and per run the figure and if it is among the best, beyond chance."""
     lines = []
     for title, unit, key, less_is_better in COLUMNS:
         cells = [text(run.row, key, unit) for run in runs]
         if all(cell == "–" for cell in cells):
             continue
-        numbers = [value(run.row, key) for run in runs]
-        known = [number for number in numbers if number is not None]
-        # Only a clear difference is marked: what rounds to within 5 % is the same.
-        best = min(known) if less_is_better and len(known) > 1 else None
-        clear = best is not None and max(known) > 1.05 * best
-        marks = [
-            bool(clear and number is not None and number <= 1.05 * best)  # type: ignore[operator]
-            for number in numbers
-        ]
+        marks = best([run.row for run in runs], key) if less_is_better else [False] * len(runs)
         lines.append((title, unit, list(zip(cells, marks, strict=True))))
     return lines
 

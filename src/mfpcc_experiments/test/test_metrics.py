@@ -161,3 +161,59 @@ def test_amplitude_by_electrical_period():
     assert metrics.amplitudes(i_dq, theta) == pytest.approx([2.0] * 5 + [3.0] * 5)
     assert not metrics.is_steady(i_dq, theta)
     assert metrics.is_steady(i_dq[:1000], theta[:1000])
+
+
+def make_window(n=2000, factor=5, seed=3):
+    """A window of ten electrical periods with noise; the waveform within the periods is clean."""
+    theta, fine = angle(n, 50.0), angle(n * factor, 50.0, factor)
+    i_dq = 4j + np.random.default_rng(seed).normal(0, 0.1, (n, 2)) @ np.array([1, 1j])
+
+    def abc(i_dq, theta):
+        phases = theta[:, None] - 2 * math.pi / 3 * np.arange(3)
+        return (i_dq[:, None] * np.exp(1j * phases)).real
+
+    time = 0.1 + T_S * np.arange(n)
+    return metrics.Window(
+        begin=0.1,
+        end=0.1 + n * T_S,
+        time=time,
+        theta=theta,
+        i_abc=abc(i_dq, theta),
+        i_dq=i_dq,
+        lut_time=time[::2],
+        i_dq_ref=np.full(n // 2, 4j),
+        error=np.stack([i_dq.real, i_dq.imag - 4], axis=1)[::2],
+        fine_time=0.1 + T_S / factor * np.arange(n * factor),
+        fine_theta=fine,
+        fine_abc=abc(np.full(n * factor, 4j), fine),
+        fine_dq=np.full(n * factor, 4j),
+        state_time=time,
+        torque=np.full(n, 2.5),
+    )
+
+
+def test_parts_of_a_window_are_whole_electrical_periods():
+    w = make_window()
+    found = metrics.parts(w)
+    assert [len(part.time) for part in found] == [200] * 10
+    assert [len(part.fine_time) for part in found] == [1000] * 10
+    assert [len(part.error) for part in found] == [100] * 10
+    assert np.array_equal(np.concatenate([part.i_dq for part in found]), w.i_dq)
+
+
+def test_scatter_tells_how_sure_a_figure_is():
+    found = metrics.scatter(make_window())
+    assert found["parts"] == 10
+    assert found["mean"]["ripple_rms.d"] == pytest.approx(0.1, rel=0.05)
+    # The standard deviation of a standard deviation of 200 normal samples.
+    assert found["std"]["ripple_rms.d"] == pytest.approx(0.1 / math.sqrt(400), rel=0.7)
+    assert found["mean"]["thd_percent.oversampled"] == pytest.approx(0.0, abs=1e-6)
+    assert found["mean"]["torque_mean"] == 2.5
+    assert "lut_error_max.q" in found["mean"]
+
+
+def test_a_transient_has_no_parts():
+    w = make_window()
+    w.i_dq[1000:] *= 2
+    assert metrics.parts(w) == []
+    assert metrics.scatter(w) == {"parts": 0, "mean": {}, "std": {}}

@@ -54,7 +54,7 @@ def test_metrics_of_a_known_drive(make_bag):
     assert row["speed_rpm_mean"] == pytest.approx(750.0, rel=1e-9)
     assert row["step_time_us"] == {"median": 3.0, "p99": 9.0}
     assert row["switching_frequency_hz"] == pytest.approx(10e3)
-    assert row["copper_loss_w"] == pytest.approx(1.5 * 1.5 * (0.2**2 + 3.0**2))
+    assert row["copper_loss_w"] == pytest.approx(1.5 * 1.5 * (0.2**2 + 3**2) * (1 + 0.02**2))
     assert row["fundamental"]["frequency_hz"] == pytest.approx(50.0)
 
 

@@ -216,7 +216,7 @@
     c.lineWidth = 1;
     c.strokeStyle = colour.line;
     c.fillStyle = colour.soft;
-    const y = steps(low, high, 4), x = steps(view.from, view.to, small ? 4 : 8);
+    const y = steps(low, high, 5), x = steps(view.from, view.to, small ? 4 : 8);
     c.textAlign = "right"; c.textBaseline = "middle";
     for (const v of y.ticks) {
       line(c, left, Y(v), right, Y(v));

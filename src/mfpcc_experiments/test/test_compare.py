@@ -1,0 +1,215 @@
+"""Comparing recordings: the contract of metrics.json, the table, the figures and the report."""
+
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mfpcc_experiments import bag, compare, measured, metrics, recording, report
+
+CONTRACT = {
+    "experiment": None,
+    "scheme": None,
+    "motor": None,
+    "engine": None,
+    "seed": None,
+    "periods": None,
+    "lost_periods": None,
+    "window_s": None,
+    "thd_percent": {"control", "oversampled"},
+    "ripple_pp": {"d", "q", "d_oversampled", "q_oversampled"},
+    "ripple_rms": {"d", "q"},
+    "lut_error_max": {"d", "q"},
+    "lut_error_rms": {"d", "q"},
+    "i_d_mean": None,
+    "i_q_error_mean": None,
+    "speed_rpm_mean": None,
+    "step_time_us": {"median", "p99"},
+}
+
+
+@pytest.fixture
+def bags(make_bag, drive_messages) -> list[Path]:
+    return [
+        make_bag(name, oversampling=4, config=config(scheme=name))
+        for name in ("mbpcc", "mls_mfpcc")
+    ]
+
+
+def config(**changes: object) -> dict:
+    known = {"experiment": "synthetic", "scheme": "x", "motor": "m", "engine": "ros", "seed": 1}
+    return {**known, "T_s": 1e-4, "n_p": 4, "window_s": [0.1, 0.3], **changes}
+
+
+class Page(HTMLParser):
+    """Tags of a page, what it refers to, and its visible text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.references: list[str] = []
+        self.text = ""
+        self._inside = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self._inside = tag
+        self.references += [v for k, v in attributes if k in ("src", "href", "srcset", "action")]
+
+    def handle_endtag(self, tag):
+        self._inside = ""
+
+    def handle_data(self, data):
+        if self._inside not in ("script", "style"):
+            self.text += data
+
+
+def test_a_folder_of_results(bags, tmp_path):
+    told = []
+    rows = compare.compare(bags, tmp_path / "out", progress=told.append)
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text()) == rows
+    for row, scheme in zip(rows, ("mbpcc", "mls_mfpcc"), strict=True):
+        assert row["scheme"] == scheme
+        for key, keys in CONTRACT.items():
+            assert key in row
+            assert keys is None or set(row[key]) >= keys
+    pictures = {path.stem: path for path in (tmp_path / "out" / "figures").iterdir()}
+    assert set(pictures) == {"phase_currents", "i_dq", "lut_error", "spectrum", "speed_torque"}
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures.values())
+    assert told == sorted(told) and told[-1] == 1.0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "metrics.json", "report.html", "figures"
+    }  # fmt: skip
+
+
+def test_the_report_needs_nothing_but_itself(bags, tmp_path):
+    compare.compare(bags, tmp_path / "out")
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.references and all(r.startswith("data:image/png;base64,") for r in page.references)
+    assert "link" not in page.tags and "iframe" not in page.tags
+    assert not re.search(r"https?://|@import|url\(", text)
+    assert "default-src 'none'" in text
+    assert "MLS-MFPCC" in page.text and "2.00" in page.text
+    assert str(tmp_path) not in page.text
+
+
+def test_text_from_recordings_is_escaped(make_bag, tmp_path):
+    evil = "</script><script>alert(1)</script><img src=x onerror=alert(2)>[bold]$x_$"
+    paths = [
+        make_bag(name, 3500, config=config(scheme=evil, experiment=evil, motor=evil, note=evil))
+        for name in ("one", "two")
+    ]
+    rows = compare.compare(paths, tmp_path / "out")
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.tags.count("script") == 2 and "onerror" not in re.sub(r"&\w+;|\\u\w+", "", "")
+    assert all(reference.startswith("data:") for reference in page.references)
+    assert "<img src=x" not in text and "</script><script>alert" not in text
+    compare.print_table(rows)
+
+
+def test_figures_of_recordings_that_lack_topics(make_bag, drive_messages, tmp_path):
+    only = ("phase_feedback", "duty_command")
+    source = (m for m in drive_messages(3500) if m[0] in only)
+    bare = make_bag("bare", source=source, config=config())
+    rows = compare.compare([bare, make_bag("full", 3500, oversampling=4)], tmp_path / "out")
+    assert rows[0]["lut_error_max"] is None and rows[0]["torque_mean"] is None
+    assert rows[0]["i_d_mean"] == pytest.approx(0.2, abs=1e-3)
+    compare.compare([bare], tmp_path / "alone")
+    names = {path.stem for path in (tmp_path / "alone" / "figures").iterdir()}
+    assert names == {"phase_currents", "i_dq", "spectrum"}
+
+
+def test_nothing_is_written_if_a_recording_is_no_good(bags, tmp_path):
+    with pytest.raises(bag.BagError):
+        compare.compare([*bags, tmp_path / "missing"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(bag.BagError, match="no recordings"):
+        compare.compare([], tmp_path / "out")
+
+
+def test_the_table_in_the_terminal(bags, tmp_path, capsys):
+    rows = compare.compare(bags, tmp_path / "out")
+    compare.print_table(rows)
+    lines = capsys.readouterr().out.splitlines()
+    assert re.search(r"MBPCC +MLS-MFPCC", lines[0])
+    assert re.search(r"THD, oversampled +2\.00 +2\.00 +%", lines[1])
+
+
+@pytest.mark.parametrize(
+    ("number", "shown"),
+    [(None, "–"), (0.0, "0.000"), (1.8123, "1.81"), (19.02, "19.0"), (0.19739, "0.197"),
+     (-0.0456, "-0.046"), (749.99, "750.0"), (0, "0"), (12, "12")],
+)  # fmt: skip
+def test_three_digits(number, shown):
+    assert compare.text({"x": number}, ("x",)) == shown
+
+
+def test_labels_tell_recordings_apart():
+    def row(**changes):
+        return {"scheme": "mfpcc", "experiment": "a", "motor": "m", "engine": "ros", "seed": 0,
+                **changes}  # fmt: skip
+
+    def names(*rows, paths=("x", "y")):
+        return measured.labels(rows, [Path(p) for p in paths])
+
+    assert names(row(), row(scheme="mls_mfpcc")) == ["MFPCC", "MLS-MFPCC"]
+    assert names(row(), row(experiment="b")) == ["MFPCC, a", "MFPCC, b"]
+    assert names(row(), row(seed=3)) == ["MFPCC, 0", "MFPCC, 3"]
+    assert names(row(), row()) == ["MFPCC, x", "MFPCC, y"]
+    assert names(row(), row(), paths=("x", "x")) == ["MFPCC, x (1)", "MFPCC, x (2)"]
+
+
+def test_only_differences_beyond_chance_are_marked():
+    def row(mean, std, parts=10):
+        return {"scatter": {"parts": parts, "mean": {"a.b": mean}, "std": {"a.b": std}}}
+
+    none = {"scatter": {"parts": 0, "mean": {}, "std": {}}}
+    assert compare.best([row(1.0, 0.1), row(1.05, 0.1)], ("a", "b")) == [False, False]
+    assert compare.best([row(1.0, 0.1), row(1.5, 0.1)], ("a", "b")) == [True, False]
+    assert compare.best([row(1.02, 0.1), row(3.0, 0.1), row(1.0, 0.1)], ("a", "b")) == [
+        True, False, True
+    ]  # fmt: skip
+    assert compare.best([row(1.0, 0.0), row(2.0, 0.0), none], ("a", "b")) == [True, False, False]
+    assert compare.best([row(1.0, 0.1), none], ("a", "b")) == [False, False]
+
+
+def test_traces_hold_the_signal_to_a_screens_resolution():
+    values = np.linspace(-3.0, 5.0, 1000, dtype=np.float32)
+    values[10] = np.nan
+    part = report._packed(0.0, 1e-4, values)
+    import base64
+
+    whole = np.frombuffer(base64.b64decode(part["data"]), "<i2")
+    assert whole[10] == -32768
+    restored = part["low"] + (whole + 32767.0) * part["scale"]
+    restored[10] = np.nan
+    assert np.nanmax(np.abs(restored - values)) < 8.0 / 65000
+
+
+def test_long_traces_keep_their_extremes_and_the_window():
+    values = np.zeros(1_000_000, dtype=np.float32)
+    values[123_456] = 7.0  # one period in 100 s
+    coarse, fine = report._segments(measured.Signal(0.0, 1e-4, values), 50.0, 50.2)
+    assert coarse["pairs"] and coarse["low"] + 65534 * coarse["scale"] == pytest.approx(7.0)
+    assert coarse["dt"] * report.FULL / 2 >= 100.0
+    assert (fine["t0"], fine["dt"], fine["pairs"]) == (50.0, 1e-4, False)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+def test_the_viewers_program_is_sound(tmp_path):
+    program = Path(report.__file__).parent / "templates" / "viewer.js"
+    subprocess.run(["node", "--check", program], check=True, timeout=60)
+
+
+def test_window_of_a_long_recording_is_all_that_is_kept(make_bag):
+    found = recording.read(make_bag(oversampling=4))
+    w = metrics.cut(found)
+    assert len(w.time) == 2000 and len(w.fine_time) == 8000
