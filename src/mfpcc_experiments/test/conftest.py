@@ -72,18 +72,18 @@ def messages(
         yield "duty_command", time + T_S_NS, command.to_bytes()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def drive_messages() -> Callable[..., Iterator[Message]]:
     """See `messages`."""
     return messages
 
 
-@pytest.fixture
-def make_bag(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a bag of the synthetic drive and returns its folder."""
+@pytest.fixture(scope="session")
+def write_bag() -> Callable[..., Path]:
+    """Writes a bag of the synthetic drive into a folder and returns it."""
 
-    def make(
-        name: str = "run",
+    def write(
+        path: Path,
         periods: int = 4000,
         *,
         oversampling: int = 0,
@@ -93,7 +93,6 @@ def make_bag(tmp_path: Path) -> Callable[..., Path]:
     ) -> Path:
         from mfpcc_experiments.bag import BagWriter
 
-        path = tmp_path / name
         if source is None:
             source = messages(periods, oversampling=oversampling)
         content = CONFIG if config is None else config
@@ -102,5 +101,15 @@ def make_bag(tmp_path: Path) -> Callable[..., Path]:
                 bag.write(*message)
             bag.close({"step_time_us": {"median": 3.0, "p99": 9.0}})
         return path
+
+    return write
+
+
+@pytest.fixture
+def make_bag(tmp_path: Path, write_bag: Callable[..., Path]) -> Callable[..., Path]:
+    """Writes a bag of the synthetic drive under a name and returns its folder."""
+
+    def make(name: str = "run", *arguments: object, **options: object) -> Path:
+        return write_bag(tmp_path / name, *arguments, **options)
 
     return make

@@ -33,12 +33,21 @@ CONTRACT = {
 }
 
 
-@pytest.fixture
-def bags(make_bag, drive_messages) -> list[Path]:
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory, write_bag) -> list[Path]:
+    folder = tmp_path_factory.mktemp("bags")
     return [
-        make_bag(name, oversampling=4, config=config(scheme=name))
+        write_bag(folder / name, oversampling=4, config=config(scheme=name))
         for name in ("mbpcc", "mls_mfpcc")
     ]
+
+
+@pytest.fixture(scope="module")
+def compared(bags, tmp_path_factory) -> tuple[Path, list[dict], list[float]]:
+    """A folder of results, the rows and what the progress bar was told."""
+    out = tmp_path_factory.mktemp("compared") / "out"
+    told: list[float] = []
+    return out, compare.compare(bags, out, progress=told.append), told
 
 
 def config(**changes: object) -> dict:
@@ -70,34 +79,31 @@ class Page(HTMLParser):
             self.text += data
 
 
-def test_a_folder_of_results(bags, tmp_path):
-    told = []
-    rows = compare.compare(bags, tmp_path / "out", progress=told.append)
-    assert json.loads((tmp_path / "out" / "metrics.json").read_text()) == rows
+def test_a_folder_of_results(compared):
+    out, rows, told = compared
+    assert json.loads((out / "metrics.json").read_text()) == rows
     for row, scheme in zip(rows, ("mbpcc", "mls_mfpcc"), strict=True):
         assert row["scheme"] == scheme
         for key, keys in CONTRACT.items():
             assert key in row
             assert keys is None or set(row[key]) >= keys
-    pictures = {path.stem: path for path in (tmp_path / "out" / "figures").iterdir()}
+    pictures = {path.stem: path for path in (out / "figures").iterdir()}
     assert set(pictures) == {"phase_currents", "i_dq", "lut_error", "spectrum", "speed_torque"}
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures.values())
     assert told == sorted(told) and told[-1] == 1.0
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "metrics.json", "report.html", "figures"
-    }  # fmt: skip
+    assert {path.name for path in out.iterdir()} == {"metrics.json", "report.html", "figures"}
 
 
-def test_the_report_needs_nothing_but_itself(bags, tmp_path):
-    compare.compare(bags, tmp_path / "out")
-    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+def test_the_report_needs_nothing_but_itself(compared):
+    out, _, _ = compared
+    text = (out / "report.html").read_text(encoding="utf-8")
     page = Page(text)
     assert page.references and all(r.startswith("data:image/png;base64,") for r in page.references)
     assert "link" not in page.tags and "iframe" not in page.tags
     assert not re.search(r"https?://|@import|url\(", text)
     assert "default-src 'none'" in text
     assert "MLS-MFPCC" in page.text and "2.00" in page.text
-    assert str(tmp_path) not in page.text
+    assert str(out.parent) not in text
 
 
 def test_text_from_recordings_is_escaped(make_bag, tmp_path):
@@ -109,7 +115,7 @@ def test_text_from_recordings_is_escaped(make_bag, tmp_path):
     rows = compare.compare(paths, tmp_path / "out")
     text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     page = Page(text)
-    assert page.tags.count("script") == 2 and "onerror" not in re.sub(r"&\w+;|\\u\w+", "", "")
+    assert page.tags.count("script") == 2
     assert all(reference.startswith("data:") for reference in page.references)
     assert "<img src=x" not in text and "</script><script>alert" not in text
     compare.print_table(rows)
@@ -135,9 +141,8 @@ def test_nothing_is_written_if_a_recording_is_no_good(bags, tmp_path):
         compare.compare([], tmp_path / "out")
 
 
-def test_the_table_in_the_terminal(bags, tmp_path, capsys):
-    rows = compare.compare(bags, tmp_path / "out")
-    compare.print_table(rows)
+def test_the_table_in_the_terminal(compared, capsys):
+    compare.print_table(compared[1])
     lines = capsys.readouterr().out.splitlines()
     assert re.search(r"MBPCC +MLS-MFPCC", lines[0])
     assert re.search(r"THD, oversampled +2\.00 +2\.00 +%", lines[1])
