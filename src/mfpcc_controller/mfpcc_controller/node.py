@@ -82,7 +82,7 @@ class MfpccController(PwmNode):
             # what the plant waits for, should this process end now
             self._command.fixed["period"] += 1
             self._command.fixed["enable"] = False
-            self._command_out.publish(self._command.to_bytes())
+            self._command_out.publish_aside(self._command.to_bytes())
         self._tell_status()
 
     def cleanup(self) -> None:
@@ -122,7 +122,7 @@ class MfpccController(PwmNode):
         """Handle a sample that is not the next one; return whether to answer it."""
         if k == self.period:
             # the plant has not got the answer
-            self._command_out.repeat(self._command.to_bytes())
+            self._command_out.publish_aside(self._command.to_bytes())
             return False
         if self.period < 0 and not self._heard():
             return False
@@ -136,7 +136,7 @@ class MfpccController(PwmNode):
     def on_stall(self, seconds: float) -> None:
         """Send the last command again to a plant that came after it was sent."""
         if self._command_out.new_listener and self.period >= 0:
-            self._command_out.repeat(self._command.to_bytes())
+            self._command_out.publish_aside(self._command.to_bytes())
 
     def _heard(self) -> bool:
         """Whether everybody is there who must not miss the first answer; else hold the sample."""

@@ -101,11 +101,7 @@ def record_composed(config: Mapping[str, Any], path: Path, periods: int, progres
             )
         for node in nodes:
             node.destroy_node()
-    if code or done < periods:
-        raise DriveError(
-            f"the run ended at period {done} of {periods}"
-            + (" after an error (see above)" if code else "; it was stopped")
-        )
+    _judge(done, periods, "after an error (see above)" if code else "")
     progress(periods)
 
 
@@ -150,10 +146,7 @@ def record_separate(config: Mapping[str, Any], path: Path, periods: int, progres
         code = spin.run([recorder], until=watch.over)
         writer.close({"gaps": recorder.gaps, "wall_s": time.monotonic() - begin})
     done = recorder.last_period["phase_feedback"] + 1
-    if watch.trouble or code or done < periods:
-        raise DriveError(
-            f"the run ended at period {done} of {periods}: {watch.trouble or 'it was stopped'}"
-        )
+    _judge(done, periods, "after an error (see above)" if code else watch.trouble)
     lost = {topic: count for topic, count in recorder.gaps.items() if count}
     if lost:
         raise DriveError(f"the recording has gaps: {lost}")
@@ -228,6 +221,14 @@ def _process(
 
 
 # --- Both ---------------------------------------------------------------------------------------
+
+
+def _judge(done: int, periods: int, trouble: str) -> None:
+    """Raise if a run has not come to its end."""
+    if trouble:
+        raise DriveError(f"the run ended at period {done} of {periods}: {trouble}")
+    if done < periods:
+        raise KeyboardInterrupt  # that is how it was stopped
 
 
 def _values(config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -162,7 +162,7 @@ class PmsmSim(PwmNode):
     def on_stall(self, seconds: float) -> None:
         """Send the last sample again to a controller that came after it was sent."""
         if self._feedback_out.new_listener and self.period >= 0:
-            self._feedback_out.repeat(self._feedback.to_bytes())
+            self._feedback_out.publish_aside(self._feedback.to_bytes())
 
     # Paced mode -----------------------------------------------------------------------------
 

@@ -87,8 +87,8 @@ class LoopPublisher:
 
         self.publish = publish_and_copy  # type: ignore[method-assign]
 
-    def repeat(self, data: bytes) -> None:
-        """Publish a message again that somebody has missed; a recording has it already."""
+    def publish_aside(self, data: bytes) -> None:
+        """Publish what no in-line recording shall have: a repetition, or the stop after the end."""
         LoopPublisher.publish(self, data)
 
     def publish(self, data: bytes) -> None:
@@ -107,11 +107,11 @@ class LoopPublisher:
     def settle(self) -> None:
         """Take notice of subscribers that came; called now and then, off the per-period path.
 
-        Within one process, Fast DDS 2.14 never delivers to a new subscriber what is published
-        until the publisher's history was replaced by later messages; with a history that keeps
-        all, that is never, and publishing fails once it is full (5000 messages). A subscriber in
-        another process is not affected. So for a newcomer in this process a publisher that was
-        used begins anew, with an empty history.
+        Within one process, Fast DDS 2.14 may never deliver to a subscriber that comes when the
+        publisher's history is full of messages that others have got (5000 of them): unless
+        something is published within 70 ms, it waits for those, and publishing fails after the
+        next 5000. In another process it gets on well. So for a newcomer in this process a
+        publisher that was used begins anew, with an empty history.
         """
         if self._settled_match == self._matches:
             return
@@ -128,13 +128,9 @@ class LoopPublisher:
     def flush(self, seconds: float) -> bool:
         """Wait until each subscriber has got all; return whether that is so.
 
-        Subscribers in other processes say so every 3 s only, so this is for the end of a recording.
+        Subscribers in other processes may say so every 3 s only, so this is for the end of a run.
         """
         return bool(self._publisher.wait_for_all_acked(Duration(seconds=seconds)))
-
-    def flush(self) -> None:
-        """Wait until all subscribers have what was published, for two seconds at most."""
-        self._publisher.wait_for_all_acked(Duration(seconds=2.0))
 
     def destroy(self) -> None:
         """Remove the publisher from its node."""

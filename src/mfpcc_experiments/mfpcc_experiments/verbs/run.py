@@ -82,6 +82,12 @@ def command(
     with result_folder(out, force=force) as folder:
         rows = _run_and_compare(wanted, schemes, engine, separate, folder, seed)
     show(rows, out)
+    lost = {row["scheme"]: row["lost_periods"] for row in rows if row["lost_periods"]}
+    if lost:
+        raise click.ClickException(
+            "periods are missing in the recording: "
+            + ", ".join(f"{count} of {scheme}" for scheme, count in lost.items())
+        )
 
 
 def _run_and_compare(
