@@ -9,6 +9,7 @@ from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.node import Node
 
 from ros2_standin.node import (
+    LOOK_TIME,
     SERVICE_TIMEOUT,
     absolute_name,
     add_graph_arguments,
@@ -47,7 +48,7 @@ def wait_for_managed_node(node: Node, args: argparse.Namespace) -> str | None:
     """Wait until ``args.node_name`` is there; return its absolute name, or None."""
     name = absolute_name(args.node_name)
     found = wait_until(
-        lambda: name in managed_nodes(node, args.include_hidden_nodes), args.spin_time
+        lambda: name in managed_nodes(node, args.include_hidden_nodes), args.spin_time + LOOK_TIME
     )
     return name if found else None
 

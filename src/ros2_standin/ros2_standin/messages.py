@@ -58,10 +58,10 @@ class Style:
         return {name: self._plain(value, kind) for name, value, kind in _fields(message)}
 
     def _plain(self, value: Any, kind: Any = None) -> Any:
+        if isinstance(value, np.generic):  # first of all: some are Python floats, too
+            return value.item()
         if isinstance(value, (bool, int, float)):
             return value
-        if isinstance(value, np.number):
-            return value.item()
         if isinstance(value, bytes):
             return self._cut(value.decode("latin-1"))
         if isinstance(value, str):
@@ -98,14 +98,30 @@ class Style:
         return text[: self.length] + "..." if self._too_long(text) else text
 
     def yaml(self, message: Any, *, flow: bool = False) -> str:
-        """Return a message as YAML; `flow` puts all of it on one line."""
+        """Return a message as YAML; `flow` puts each list on one line."""
         return yaml.dump(
             self.plain(message),
+            Dumper=_Dumper,
             allow_unicode=True,
             width=sys.maxsize,
             default_flow_style=flow,
             sort_keys=False,
         )
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML as ROS 2 prints messages: nothing shortened, mappings never on one line by choice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+    def represent_dict(self, data: dict[Any, Any]) -> yaml.MappingNode:
+        node = super().represent_dict(data)
+        node.flow_style = False
+        return node
+
+
+_Dumper.add_representer(dict, _Dumper.represent_dict)
 
 
 def _outline(value: Any, kind: Any) -> str:

@@ -20,6 +20,12 @@ from ros2_standin.verb import Terminated
 
 #: Time it takes to see who is there (s), unless told otherwise.
 DISCOVERY_TIME = 0.5
+#: Time without news after which everybody is taken to have been seen (s), and the longest wait
+#: for that beyond the discovery time.
+QUIET_TIME = 0.25
+LONGEST_UNREST = 3.0
+#: Time to wait beyond the discovery time for something that was asked for by name (s).
+LOOK_TIME = 1.0
 #: Time between two looks at the graph (s).
 LOOK_PERIOD = 0.01
 #: Time a service may take to appear, and to answer (s).
@@ -87,7 +93,21 @@ def graph_node(args: argparse.Namespace) -> Iterator[Node]:
     with cli_node(args) as node:
         # Discovery goes on in threads of the middleware.
         time.sleep(args.spin_time)
+        _wait_for_quiet(node)
         yield node
+
+
+def _wait_for_quiet(node: Node) -> None:
+    """Wait while there is news: on a busy machine, others are not seen whole at once."""
+    deadline = time.monotonic() + LONGEST_UNREST
+    seen: object = None
+    last_news = time.monotonic()
+    while (now := time.monotonic()) < deadline and now - last_news < QUIET_TIME:
+        nodes = node.get_node_names_and_namespaces()
+        graph = nodes, node.get_topic_names_and_types(), node.get_service_names_and_types()
+        if graph != seen:
+            seen, last_news = graph, now
+        time.sleep(LOOK_PERIOD)
 
 
 def wait_until(condition: Callable[[], bool], timeout: float) -> bool:
@@ -156,21 +176,20 @@ def node_names(node: Node, include_hidden: bool = False) -> list[NodeName]:
     ]
 
 
-def add_remote_arguments(parser: argparse.ArgumentParser, *, timeout: bool = True) -> None:
+def add_remote_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of verbs that talk to one node."""
     add_graph_arguments(parser)
     parser.add_argument("node_name", help="Name of the node")
     parser.add_argument(
         "--include-hidden-nodes", action="store_true", help="Include those that begin with _"
     )
-    if timeout:
-        parser.add_argument(
-            "--timeout",
-            metavar="N",
-            type=int,
-            default=1,
-            help="Wait N seconds for the node to appear (default: %(default)s)",
-        )
+    parser.add_argument(
+        "--timeout",
+        metavar="N",
+        type=int,
+        default=1,
+        help="Wait N seconds for the node to appear (default: %(default)s)",
+    )
 
 
 def wait_for_node(node: Node, args: argparse.Namespace) -> str | None:
@@ -180,7 +199,7 @@ def wait_for_node(node: Node, args: argparse.Namespace) -> str | None:
     def there() -> bool:
         return name in (n.full for n in node_names(node, args.include_hidden_nodes))
 
-    timeout = args.spin_time + getattr(args, "timeout", 0)
+    timeout = args.spin_time + args.timeout
     return name if wait_until(there, timeout) else None
 
 

@@ -79,8 +79,15 @@ class Line(NamedTuple):
     @classmethod
     def read(cls, raw: str, package: str) -> Line:
         """Read a line of a file of `package`."""
-        code = raw[: _comment_start(raw)].strip()
+        start = _comment_start(raw)
+        code = raw[:start].strip()
         kind = code.split()[0].split("[")[0].split("<=")[0] if code.strip("-") else ""
+        comment = raw[start:].strip("#").strip()
+        if start < len(raw) and code:
+            # ROS 2 takes away a comment but for its # and what separates it from the words.
+            code = raw[: raw.find(comment) - 1].strip() if comment else raw
+        elif start < len(raw) and not comment:
+            code = raw  # and a comment that says nothing it does not see as one
         if not kind or kind in _PRIMITIVES:
             return cls(raw, code, "")
         owner, _, base = kind.rpartition("/")

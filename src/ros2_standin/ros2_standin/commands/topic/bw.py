@@ -17,8 +17,8 @@ WINDOW = 100
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("topic", help="Name of the topic")
     parser.add_argument(
-        "-w",
         "--window",
+        "-w",
         metavar="WINDOW",
         type=positive_int,
         default=WINDOW,

@@ -21,7 +21,7 @@ from rclpy.task import Future
 from ros2_standin.arguments import non_negative_int, positive_float
 from ros2_standin.listen import topic_class
 from ros2_standin.messages import Style
-from ros2_standin.node import add_graph_arguments, cli_node, wait_until
+from ros2_standin.node import LOOK_TIME, add_graph_arguments, cli_node, wait_until
 from ros2_standin.qos import add_qos_arguments, chosen_profile, is_chosen
 from ros2_standin.types import message_class
 from ros2_standin.verb import Result
@@ -37,18 +37,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--csv", action="store_true", help="Print all fields on one line")
     parser.add_argument("--field", help="Print this field only (e.g. pose.pose.position)")
     parser.add_argument(
-        "-f", "--full-length", action="store_true", help="Print arrays and texts of any length"
+        "--full-length", "-f", action="store_true", help="Print arrays and texts of any length"
     )
     parser.add_argument(
-        "-l",
         "--truncate-length",
+        "-l",
         type=non_negative_int,
         default=LENGTH,
         help="Longest array or text that is printed in full (default: %(default)s)",
     )
     parser.add_argument("--no-arr", action="store_true", help="Leave out what is in arrays")
     parser.add_argument("--no-str", action="store_true", help="Leave out what is in texts")
-    parser.add_argument("--flow-style", action="store_true", help="Print YAML on one line")
+    parser.add_argument("--flow-style", action="store_true", help="Print each list on one line")
     parser.add_argument(
         "--no-lost-messages", action="store_true", help="Do not say when messages are lost"
     )
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--once", action="store_true", help="End after the first message")
     parser.add_argument("--timeout", metavar="N", type=positive_float, help="End after N seconds")
     parser.add_argument(
-        "-i", "--include-message-info", action="store_true", help="Print times and numbers, too"
+        "--include-message-info", "-i", action="store_true", help="Print times and numbers, too"
     )
 
 
@@ -71,7 +71,7 @@ def main(args: argparse.Namespace) -> Result:
             return f"Invalid field value '{args.field}'"
     with cli_node(args) as node:
         if args.message_type is None:
-            kind = topic_class(node, args.topic_name, timeout=args.spin_time)
+            kind = topic_class(node, args.topic_name, timeout=args.spin_time + LOOK_TIME)
             if kind is None:
                 return "Could not determine the type for the passed topic"
         else:

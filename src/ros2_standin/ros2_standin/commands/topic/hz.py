@@ -21,8 +21,8 @@ WINDOW = 10000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("topic_name", help="Name of the topic")
     parser.add_argument(
-        "-w",
         "--window",
+        "-w",
         dest="window_size",
         metavar="WINDOW",
         type=positive_int,

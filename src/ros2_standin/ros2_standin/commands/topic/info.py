@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_graph_arguments(parser)
     parser.add_argument("topic_name", help="Name of the topic")
     parser.add_argument(
-        "-v", "--verbose", action="store_true", help="Print nodes, hash of the type, and QoS, too"
+        "--verbose", "-v", action="store_true", help="Print nodes, hash of the type, and QoS, too"
     )
 
 

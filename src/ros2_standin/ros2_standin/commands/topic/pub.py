@@ -13,7 +13,7 @@ from rclpy.publisher import Publisher
 
 from ros2_standin.arguments import non_negative_int, positive_float
 from ros2_standin.messages import fill, read_values
-from ros2_standin.node import add_node_arguments, cli_node
+from ros2_standin.node import DISCOVERY_TIME, add_node_arguments, cli_node, wait_until
 from ros2_standin.qos import add_qos_arguments, chosen_profile
 from ros2_standin.types import message_class
 from ros2_standin.verb import Result
@@ -92,6 +92,7 @@ def main(args: argparse.Namespace) -> Result:
 
 def _wait_for_subscriptions(publisher: Publisher, wanted: int, limit: float | None) -> Result:
     """Wait for subscriptions; return an error if the time is over."""
+    wait_until(lambda: publisher.get_subscription_count() >= wanted, DISCOVERY_TIME)
     looks = 0
     while publisher.get_subscription_count() < wanted:
         if looks % 10 == 0:
