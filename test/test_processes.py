@@ -10,7 +10,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from conftest import Process, until
+from harness import Process, until
 from mfpcc_msgs.msg import DutyCommand, PhaseFeedback
 
 CONTROLLER = ("mfpcc_controller", "controller", "--ros-args", "-p", "speed_ref_rpm:=500.0")

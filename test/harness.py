@@ -1,0 +1,109 @@
+"""Programs whose output can be waited for, and bounded waits."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import pytest
+
+#: Long enough for a start on a slow, busy machine, kernels not compiled yet.
+PATIENCE = 90.0
+
+
+class Process:
+    """A program whose output can be waited for.
+
+    Parameters
+    ----------
+    command : sequence of str
+        Program and arguments.
+    """
+
+    def __init__(self, command: Sequence[str | Path]) -> None:
+        self.command = [str(part) for part in command]
+        self._popen = subprocess.Popen(
+            self.command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        self._lines: list[str] = []
+        self._news = threading.Condition()
+        self._ended = False
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._popen.stdout is not None
+        for line in self._popen.stdout:
+            with self._news:
+                self._lines.append(line)
+                self._news.notify_all()
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
+
+    @property
+    def output(self) -> str:
+        """All it has printed."""
+        with self._news:
+            return "".join(self._lines)
+
+    def wait_for(self, text: str, seconds: float = PATIENCE) -> None:
+        """Wait until it has printed a text."""
+        with self._news:
+            found = self._news.wait_for(
+                lambda: self._ended or any(text in line for line in self._lines), seconds
+            )
+        assert found and text in self.output, f"no '{text}' from {self.command}:\n{self.output}"
+
+    def wait(self, seconds: float = PATIENCE) -> int:
+        """Wait until it has ended; returns its exit code."""
+        try:
+            code = self._popen.wait(seconds)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"{self.command} goes on after {seconds:.0f} s:\n{self.output}")
+        self._reader.join(5.0)
+        return code
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal."""
+        self._popen.send_signal(number)
+
+    def kill(self) -> None:
+        """End it at once, as `kill -9` does."""
+        self._popen.kill()
+        self._popen.wait()
+
+    def __enter__(self) -> Process:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._popen.poll() is None:
+            self._popen.terminate()
+            try:
+                self._popen.wait(10.0)
+            except subprocess.TimeoutExpired:
+                self.kill()
+
+
+def until(condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -> None:
+    """Wait until a condition holds, and fail by name where it does not."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            pytest.fail(f"not within {seconds:.0f} s: {what}")
+        time.sleep(0.01)
