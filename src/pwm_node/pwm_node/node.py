@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
@@ -30,6 +31,7 @@ AUTOSTART = Parameter(
 _WATCH_PERIOD = 0.05  # s
 _STALL_STEP = 0.5  # s
 _SILENT_AFTER = 4.0  # s: reported well within 5
+_FLUSH = 4.0  # s: subscribers in other processes confirm every 3 s
 _NEVER = 1 << 63
 
 
@@ -291,9 +293,16 @@ class PwmNode(LifecycleNode):
         self.stopping = True
         if self.active and self.context.ok():
             self.trigger_deactivate()
-        if self.context.ok():
-            for publisher in self.loop_publishers:
-                publisher.flush()
+        deadline = time.monotonic() + _FLUSH
+        for publisher in self.loop_publishers:
+            if self.context.ok():
+                publisher.flush(max(0.0, deadline - time.monotonic()))
+
+    def destroy_node(self) -> None:
+        """Remove the node and all that it made."""
+        self.active = False
+        self._destroy_loop_topics()
+        super().destroy_node()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure` in the transition of the same name."""
@@ -374,11 +383,8 @@ class PwmNode(LifecycleNode):
         if self.count_publishers(awaited.topic):
             why = "who publishes it is there, but silent"
         else:
-            why = "nobody publishes it"
-        return (
-            f"{awaited.topic}: nothing came for {seconds:.0f} s: {why}. Start it with "
-            f"'{awaited.start}' (waiting)"
-        )
+            why = f"nobody publishes it; start it with '{awaited.start}'"
+        return f"{awaited.topic}: nothing came for {seconds:.0f} s, waiting: {why}"
 
     # Diagnostics ----------------------------------------------------------------------------
 
@@ -438,6 +444,8 @@ class PwmNode(LifecycleNode):
 def describe(error: BaseException) -> str:
     """Return an error as one line: our own say all, of others the place is named too."""
     text = str(error) or type(error).__name__
+    if isinstance(error, rclpy_implementation.RCLError):
+        return text.split(", at /")[0]  # what follows are places in C sources
     if isinstance(error, ValueError) and type(error) is not ValueError:
         return text
     place = ""

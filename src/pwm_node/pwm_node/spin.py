@@ -127,7 +127,7 @@ def _run(nodes: Sequence[Node], until: Future, stop: _Stop) -> int:
         nodes[0].get_logger().error(describe(error))
         return 1
     finally:
-        for node in nodes:
+        for node in executor.get_nodes():
             if isinstance(node, PwmNode):
                 node.stop()
         executor.shutdown()

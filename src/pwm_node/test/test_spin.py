@@ -12,11 +12,13 @@ pytest.importorskip("mfpcc_msgs.msg")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from mfpcc_msgs.msg import PhaseFeedback  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 from rclpy.parameter_client import AsyncParameterClient  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 
+from pwm_node.loop_topics import LoopSubscription  # noqa: E402
 from pwm_node.spin import run  # noqa: E402
 
 
@@ -171,12 +173,48 @@ def test_a_node_goes_and_another_comes_in_the_same_process(toy, context):
     pongs[1].destroy_node()
 
 
+def test_a_new_subscriber_in_the_process_of_a_publisher_with_a_full_history(
+    toy, context, wait_until
+):
+    # The case of the test above at its worst: nothing is published for a while.
+    node = toy.Ping(context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    publisher = node.create_loop_publisher(PhaseFeedback, "phase_feedback")
+    data = node.sample.to_bytes()
+
+    def served(condition):
+        executor.spin_once(0.01)
+        publisher.settle()
+        return condition()
+
+    def subscriber(before):
+        subscription = LoopSubscription(node, PhaseFeedback, "phase_feedback", print, "")
+        subscription.direct = True
+        wait_until(lambda: served(lambda: publisher._matches > before))
+        return subscription
+
+    first = subscriber(0)
+    for _ in range(5100):
+        publisher.publish(data)
+        assert first.take(PhaseFeedback, True) is not None
+    first.destroy()
+    second = subscriber(publisher._matches)
+    wait_until(lambda: served(lambda: publisher.new_listener))
+    executor.spin_once(0.2)  # longer than the middleware's own repair would look
+    for _ in range(100):
+        publisher.publish(data)
+        assert second.take(PhaseFeedback, True) is not None
+    executor.shutdown()
+    node.destroy_node()
+
+
 def test_two_processes_of_which_one_is_killed_and_started_again(start):
     ping = start("ping", "--ros-args", "-p", "periods:=20000")
     pong = start("pong", "--ros-args", "-p", "fail_at:=3000")
     pong.wait_for("asked to fail")
     assert pong.end() == 1
-    ping.wait_for("duty_command: nothing came for 4 s: nobody publishes it. Start it with 'pong'")
+    ping.wait_for("duty_command: nothing came for 4 s, waiting: nobody publishes it; start it with")
     again = start("pong")
     ping.wait_for("duty_command: goes on after")
     ping.wait_for("done 20000", 60.0)
@@ -188,7 +226,7 @@ def test_two_processes_of_which_one_is_killed_and_started_again(start):
 @pytest.mark.parametrize("which", ["both", "pong"])
 def test_signals_stop_cleanly_also_twice(start, which, kind):
     process = start(which, "--ros-args", "-p", "periods:=500")
-    process.wait_for("done 500" if which == "both" else "phase_feedback: nothing came")
+    process.wait_for("done 500" if which == "both" else "pong ready")
     assert process.end(kind, kind) == 0
     assert "pong at rest" in process.said
     assert "Traceback" not in process.said and "rror" not in process.said
@@ -211,7 +249,7 @@ def test_a_misspelt_parameter_ends_the_start(start):
 
 def test_an_idle_process_costs_no_core(start):
     process = start("pong")
-    process.wait_for("phase_feedback: nothing came for 4 s: nobody publishes it")
+    process.wait_for("phase_feedback: nothing came for 4 s, waiting: nobody publishes it")
     seconds = -_cpu_seconds(process.popen.pid)
     time.sleep(2.0)
     seconds += _cpu_seconds(process.popen.pid)

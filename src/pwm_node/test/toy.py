@@ -112,6 +112,9 @@ class Pong(PwmNode):
         self.command.fixed["period"] = self.period + 1
         self.out.publish(self.command.to_bytes())
 
+    def activate(self):
+        print("pong ready", flush=True)
+
     def deactivate(self):
         print("pong at rest", flush=True)
 
