@@ -88,16 +88,23 @@ def measure(paths: Sequence[Path], progress: Progress | None = None) -> list[Mea
             if progress is not None:
                 progress((n + share) / len(paths))
 
-        found = recording.read(path, progress=tell)
-        row = metrics.evaluate(found)
-        parts.append((row, metrics.cut(found), signals(found), found.config, found.problems))
-    names = labels([part[0] for part in parts], [Path(path) for path in paths])
+        parts.append(_measure_one(Path(path), tell))
+    names = labels([part["row"] for part in parts], [Path(path) for path in paths])
     return [
-        Measured(Path(path), name, row, window, quantities, config, problems)
-        for path, name, (row, window, quantities, config, problems) in zip(
-            paths, names, parts, strict=True
-        )
+        Measured(path=Path(path), label=name, **part)
+        for path, name, part in zip(paths, names, parts, strict=True)
     ]
+
+
+def _measure_one(path: Path, progress: Progress) -> dict[str, Any]:
+    found = recording.read(path, progress=progress)
+    return {
+        "row": metrics.evaluate(found),
+        "window": metrics.cut(found),
+        "signals": signals(found),
+        "config": found.config,
+        "problems": found.problems,
+    }
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -570,17 +570,18 @@ def cut(recording: Recording, window_s: Sequence[float] | None = None) -> Window
     theta = n_p * smooth_angle(unwrap(feedback["encoder_angle"]), round(_SMOOTHING / T_s))
     i_abc = phase_currents(feedback)
 
-    lut = recording.lut[window_rows(recording.lut["period"], window_s, T_s)]
+    # Copies: views would keep whole recordings in memory for the sake of their windows.
+    lut = recording.lut[window_rows(recording.lut["period"], window_s, T_s)].copy()
     if len(lut) == len(feedback):
         i_dq = lut["i_dq"][:, 0] + 1j * lut["i_dq"][:, 1]  # what the controller itself saw
     else:
         i_dq = to_dq(i_abc, n_p * unwrap(feedback["encoder_angle"]))
 
     rows = window_rows(recording.state["period"], window_s, T_s)
-    state = recording.state[rows]
+    state = recording.state[rows].copy()
     fine_time = fine_theta = fine_abc = fine_dq = None
     if recording.i_abc_oversampled is not None:
-        fine = recording.i_abc_oversampled[rows]
+        fine = recording.i_abc_oversampled[rows].copy()
         if len(state) >= 8:
             factor = fine.shape[1]
             fine_time = (state["period"][:, None] + np.arange(factor) / factor).ravel() * T_s
