@@ -266,7 +266,7 @@ def thd(x: Array, theta: Array) -> float | None:
 
 
 #: Change of the amplitude within a window, over its mean, from which on it holds a transient. The
-#: largest seen in a steady state is 0.06 (one vector per period, 19 % THD).
+#: largest seen in a steady state is 0.02 (one vector per period, 18 % THD).
 TRANSIENT = 0.2
 
 
