@@ -168,7 +168,9 @@ def phase_currents(runs: Sequence[Measured]) -> Figure:
         thd = run.row["thd_percent"]["oversampled" if fine else "control"]
         _note(axis, f"THD {_format(thd, '%')}" if steady else f"from {begin:.3f} s")
     _limits(axes, shown)
-    axes[0].legend(loc="lower left", ncols=3, columnspacing=1.0, borderaxespad=0.1)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3, columnspacing=1.2
+    )
     return figure
 
 
