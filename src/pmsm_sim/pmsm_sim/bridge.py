@@ -13,6 +13,9 @@ diodes), dead time, the on-state drops of switches and diodes, and currents clam
 A leg whose current has ended may stay without: then its terminal floats at the voltage at which
 the current of that phase has no derivative. One floating leg leaves the other two in series; two
 leave no path at all, so that the third carries nothing either.
+
+Iron loss is a conductance G across the induced voltage e (seen from the stationary frame), so the
+current at the terminals is i + G e, where i is what magnetises.
 """
 
 from __future__ import annotations
@@ -37,16 +40,21 @@ VOLTAGE_ROUNDING = 1e-9
 
 
 @kernel
-def connect_leg(br, x, gate):
+def connect_leg(par, br, x, gate):
     """Connect leg x as its gates say: 1 upper switch on, -1 lower switch on, 0 both off."""
     br.rail_p[x] = 1.0 if gate == 1 else 0.0
     br.rail_n[x] = 0.0 if gate == -1 else 1.0
-    br.drop_p[x] = 0.0
-    br.drop_n[x] = 0.0
-    br.r_p[x] = 0.0
-    br.r_n[x] = 0.0
-    br.can_float[x] = 1 if gate == 0 else 0
-    br.watched[x] = br.can_float[x]
+    if gate == 1:
+        br.drop_p[x], br.r_p[x] = par.switch_voltage, par.switch_resistance
+    else:
+        br.drop_p[x], br.r_p[x] = par.diode_voltage, par.diode_resistance
+    if gate == -1:
+        br.drop_n[x], br.r_n[x] = par.switch_voltage, par.switch_resistance
+    else:
+        br.drop_n[x], br.r_n[x] = par.diode_voltage, par.diode_resistance
+    can_float = gate == 0 or par.switch_voltage + par.diode_voltage > 0.0
+    br.can_float[x] = 1 if can_float else 0
+    br.watched[x] = 1 if can_float or br.r_p[x] != br.r_n[x] else 0
     br.mode[x] = 1
 
 
@@ -94,15 +102,16 @@ def solve(par, br, el, i_d, i_q, w_m, c, s, u_dc):
     el : record of `ELECTRIC`
         Filled here.
     """
-    psi_d, psi_q, L_dd, L_dq, L_qq = flux(par, i_d, i_q)
+    psi_d, psi_q, turn_d, turn_q, L_dd, L_dq, L_qq = flux(par, i_d, i_q, c, s)
     inverse = 1.0 / (L_dd * L_qq - L_dq * L_dq)
-    # voltage at which i_dq has no derivative, but for the resistances
-    emf_d, emf_q = -w_m * psi_q, w_m * psi_d
-    i_alpha, i_beta = c * i_d - s * i_q, s * i_d + c * i_q
-    R = par.R_s
+    # induced voltage at constant i_dq
+    emf_d, emf_q = w_m * (turn_d - psi_q), w_m * (turn_q + psi_d)
+    i_alpha, i_beta = c * i_d - s * i_q, s * i_d + c * i_q  # what magnetises; G e adds to it
+    R, G = par.R_s, par.iron_conductance
 
     z = floating_leg(br)
     if z == NONE_FLOATS:
+        # u = u_0 - R_clamps i_s and u = R i_s + e, with i_s = i + G e
         u_alpha, u_beta = 0.0, 0.0
         R_aa, R_ab, R_bb = R, 0.0, R
         for x in range(3):
@@ -113,14 +122,29 @@ def solve(par, br, el, i_d, i_q, w_m, c, s, u_dc):
             R_aa += 2.0 / 3.0 * r * n_a * n_a
             R_ab += 2.0 / 3.0 * r * n_a * n_b
             R_bb += 2.0 / 3.0 * r * n_b * n_b
-            el.v[x] = v - r * (n_a * i_alpha + n_b * i_beta)
         e_alpha = u_alpha - R_aa * i_alpha - R_ab * i_beta
         e_beta = u_beta - R_ab * i_alpha - R_bb * i_beta
+        if G > 0.0:
+            a, b, d = 1.0 + G * R_aa, G * R_ab, 1.0 + G * R_bb
+            determinant = a * d - b * b
+            e_alpha, e_beta = (
+                (d * e_alpha - b * e_beta) / determinant,
+                (a * e_beta - b * e_alpha) / determinant,
+            )
+            i_alpha += G * e_alpha
+            i_beta += G * e_beta
+        for x in range(3):
+            v, r = _clamp(br, x, u_dc)
+            el.v[x] = v - r * (_AXIS_ALPHA[x] * i_alpha + _AXIS_BETA[x] * i_beta)
     elif z == ALL_FLOAT:
-        # as without current: the derivative of i_alpha_beta is zero
-        u_d = emf_d + w_m * (L_dd * i_q - L_dq * i_d)
-        u_q = emf_q + w_m * (L_dq * i_q - L_qq * i_d)
-        e_alpha, e_beta = c * u_d - s * u_q, s * u_d + c * u_q
+        if G > 0.0:
+            e_alpha, e_beta = -i_alpha / G, -i_beta / G  # the field dies away in the iron
+            i_alpha = i_beta = 0.0
+        else:
+            # the derivative of i_alpha_beta is zero
+            u_d = emf_d + w_m * (L_dd * i_q - L_dq * i_d)
+            u_q = emf_q + w_m * (L_dq * i_q - L_qq * i_d)
+            e_alpha, e_beta = c * u_d - s * u_q, s * u_d + c * u_q
         for x in range(3):
             el.v[x] = _AXIS_ALPHA[x] * e_alpha + _AXIS_BETA[x] * e_beta
     else:
@@ -131,25 +155,31 @@ def solve(par, br, el, i_d, i_q, w_m, c, s, u_dc):
         t_b = (_AXIS_BETA[x] - _AXIS_BETA[y]) / _SQRT3
         v_x, r_x = _clamp(br, x, u_dc)
         v_y, r_y = _clamp(br, y, u_dc)
-        i_t = t_a * i_alpha + t_b * i_beta
-        e_t = (v_x - v_y) / _SQRT3 - (R + 0.5 * (r_x + r_y)) * i_t
-        # e_n such that the current along n has no derivative:
-        # n . (L^-1 (e - emf) + w J i) = 0 in the rotor frame
-        n_d, n_q = c * n_a + s * n_b, c * n_b - s * n_a
-        t_d, t_q = c * t_a + s * t_b, c * t_b - s * t_a
-        m_d = (L_qq * n_d - L_dq * n_q) * inverse
-        m_q = (L_dd * n_q - L_dq * n_d) * inverse
-        along_t = m_d * (e_t * t_d - emf_d) + m_q * (e_t * t_q - emf_q)
-        turning = w_m * (n_q * i_d - n_d * i_q)
-        e_n = -(along_t + turning) / (m_d * n_d + m_q * n_q)
+        R_t = R + 0.5 * (r_x + r_y)
+        i_t, i_n = t_a * i_alpha + t_b * i_beta, n_a * i_alpha + n_b * i_beta
+        e_t = ((v_x - v_y) / _SQRT3 - R_t * i_t) / (1.0 + G * R_t)
+        if G > 0.0:
+            e_n = -i_n / G
+            i_t += G * e_t
+            i_alpha, i_beta = i_t * t_a, i_t * t_b
+        else:
+            # e_n such that the current along n has no derivative:
+            # n . (L^-1 (e - emf) + w J i) = 0 in the rotor frame
+            n_d, n_q = c * n_a + s * n_b, c * n_b - s * n_a
+            t_d, t_q = c * t_a + s * t_b, c * t_b - s * t_a
+            m_d = (L_qq * n_d - L_dq * n_q) * inverse
+            m_q = (L_dd * n_q - L_dq * n_d) * inverse
+            along_t = m_d * (e_t * t_d - emf_d) + m_q * (e_t * t_q - emf_q)
+            turning = w_m * (n_q * i_d - n_d * i_q)
+            e_n = -(along_t + turning) / (m_d * n_d + m_q * n_q)
         e_alpha = e_t * t_a + e_n * n_a
         e_beta = e_t * t_b + e_n * n_b
-        half_i = 0.5 * _SQRT3 * i_t
-        el.v[x] = v_x - r_x * half_i
-        el.v[y] = v_y + r_y * half_i
+        i_x = 0.5 * _SQRT3 * i_t
+        el.v[x] = v_x - r_x * i_x
+        el.v[y] = v_y + r_y * i_x
         el.v[z] = 0.5 * (el.v[x] + el.v[y]) + 1.5 * e_n
 
-    if z == ALL_FLOAT:
+    if z == ALL_FLOAT and G == 0.0:
         el.di_d, el.di_q = w_m * i_q, -w_m * i_d
     else:
         d_d = c * e_alpha + s * e_beta - emf_d
@@ -158,8 +188,9 @@ def solve(par, br, el, i_d, i_q, w_m, c, s, u_dc):
         el.di_q = (L_dd * d_q - L_dq * d_d) * inverse
     el.i_alpha = i_alpha
     el.i_beta = i_beta
-    el.psi_d = psi_d
-    el.psi_q = psi_q
+    el.e_alpha = e_alpha
+    el.e_beta = e_beta
+    el.torque = 1.5 * par.n_p * (psi_d * i_q - psi_q * i_d + turn_d * i_d + turn_q * i_q)
     el.c = c
     el.s = s
     el.w_m = w_m
@@ -219,7 +250,10 @@ def _disagreement(par, br, el, u_dc):
             worst = max(worst, excess - VOLTAGE_ROUNDING)
         else:
             i_x = _AXIS_ALPHA[x] * el.i_alpha + _AXIS_BETA[x] * el.i_beta
-            if abs(i_x) <= ZERO_CURRENT:
+            if par.iron_conductance > 0.0:
+                # the current follows the voltage at once
+                worst = max(worst, -br.mode[x] * i_x)
+            elif abs(i_x) <= ZERO_CURRENT:
                 rate = _AXIS_ALPHA[x] * d_alpha + _AXIS_BETA[x] * d_beta
                 worst = max(worst, -br.mode[x] * rate * par.L_d)
     return worst
@@ -255,10 +289,13 @@ def _choose(par, br, el, i_d, i_q, w_m, c, s, u_dc, fixed, flowing):
 
 
 @kernel
-def without_floating(br, i_d, i_q, c, s):
-    """The current (i_d, i_q) (A) with that of floating legs removed to the last digit."""
+def without_floating(par, br, i_d, i_q, c, s):
+    """The current (i_d, i_q) (A) with that of floating legs removed to the last digit.
+
+    With iron loss it dies away by itself, and is not touched.
+    """
     z = floating_leg(br)
-    if z == NONE_FLOATS:
+    if z == NONE_FLOATS or par.iron_conductance > 0.0:
         return i_d, i_q
     if z == ALL_FLOAT:
         return 0.0, 0.0
@@ -273,7 +310,8 @@ def find_modes(par, br, el, i_d, i_q, w_m, c, s, u_dc):
     """Find how the legs conduct, after a switching instant or the end of a current.
 
     A leg with current has the mode of its sign. For the others the combination is taken whose
-    voltages agree with it; the law of the legs is monotone, so there is one.
+    voltages agree with it; the law of the legs is monotone, so there is one. With iron loss the
+    current depends on the voltage itself, so that no mode is known beforehand.
 
     Returns
     -------
@@ -284,7 +322,7 @@ def find_modes(par, br, el, i_d, i_q, w_m, c, s, u_dc):
     flowing = False
     for x in range(3):
         i_x = _AXIS_ALPHA[x] * i_alpha + _AXIS_BETA[x] * i_beta
-        has_current = abs(i_x) > ZERO_CURRENT
+        has_current = abs(i_x) > ZERO_CURRENT and par.iron_conductance == 0.0
         flowing = flowing or has_current
         if br.watched[x] == 0:
             br.mode[x] = 1
@@ -294,7 +332,7 @@ def find_modes(par, br, el, i_d, i_q, w_m, c, s, u_dc):
             fixed |= 1 << x
     if fixed != 7:
         _choose(par, br, el, i_d, i_q, w_m, c, s, u_dc, fixed, flowing)
-    return without_floating(br, i_d, i_q, c, s)
+    return without_floating(par, br, i_d, i_q, c, s)
 
 
 @kernel
@@ -306,3 +344,18 @@ def conducting_rails(br):
         if br.mode[x] != 0 and rail > 0.5:
             bits |= 1 << x
     return bits
+
+
+@kernel
+def rail_current(br, el):
+    """Current out of the positive rail (A), and the power lost in switches and diodes (W)."""
+    total, loss = 0.0, 0.0
+    for x in range(3):
+        i_x = _AXIS_ALPHA[x] * el.i_alpha + _AXIS_BETA[x] * el.i_beta
+        if br.mode[x] > 0:
+            total += br.rail_p[x] * i_x
+            loss += (br.drop_p[x] + br.r_p[x] * i_x) * i_x
+        elif br.mode[x] < 0:
+            total += br.rail_n[x] * i_x
+            loss += (br.r_n[x] * i_x - br.drop_n[x]) * i_x
+    return total, loss

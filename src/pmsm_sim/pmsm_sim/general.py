@@ -3,6 +3,9 @@
 The period is cut where a gate is switched; inside such an interval the classical fourth-order
 Runge-Kutta method runs with equal steps. Where the conduction of a leg changes by itself (a
 current ends, a diode starts) the step is shortened until it ends at that very instant.
+
+Every power flow is integrated along with the state, so that the balance of energy can be drawn up
+at any time (`Plant.energies`).
 """
 
 from __future__ import annotations
@@ -12,92 +15,145 @@ import math
 import numpy as np
 
 from pmsm_sim.bridge import (
+    NONE_FLOATS,
     conducting_rails,
     connect_leg,
     find_modes,
+    floating_leg,
     margin,
+    rail_current,
     solve,
     without_floating,
 )
-from pmsm_sim.ideal import MAX_STEP_ANGLE
-from pmsm_sim.inverter import leg_gate, switching_instants
-from pmsm_sim.machine import torque
+from pmsm_sim.inverter import leg_gate, remember_gates, switching_instants
+from pmsm_sim.mechanics import cogging, friction, load_torque
+from pmsm_sim.records import FIRST_ENERGY, INTEGRATED, LOAD_KINDS, N_INTEGRATED
 from pwm_node.compiled import kernel
 
-# The integrated quantities
-I_D, I_Q, W_M, TURN, ENERGY = range(5)
-SIZE = 5
+_I_D, _I_Q = INTEGRATED.index("i_d"), INTEGRATED.index("i_q")
+_W_M, _TURN_M = INTEGRATED.index("w_M"), INTEGRATED.index("turn_M")
+_U_DC = INTEGRATED.index("u_dc")
+_W_L, _TWIST = INTEGRATED.index("w_L"), INTEGRATED.index("twist")
+_BRAKE = INTEGRATED.index("tau_brake")
+_I_F_ALPHA, _I_F_BETA = INTEGRATED.index("i_f_alpha"), INTEGRATED.index("i_f_beta")
+_SUPPLY, _DC = INTEGRATED.index("supply"), INTEGRATED.index("dc")
+_INVERTER, _COPPER = INTEGRATED.index("inverter"), INTEGRATED.index("copper")
+_IRON, _FRICTION = INTEGRATED.index("iron"), INTEGRATED.index("friction")
+_LOAD, _CHOPPER = INTEGRATED.index("load"), INTEGRATED.index("chopper")
 
+_SPEED = LOAD_KINDS.index("speed")
+
+# Rows of the work space: state, state after the step, four derivatives.
+_ROWS = 6
 # Changes of conduction in one period: more than any drive has, so that rounding cannot hold it up.
 _MAX_EVENTS = 200
+# Largest electrical angle (rad) of one step; harmonics and saturation turn faster.
+_STEP_ANGLE = 0.06
+_STEP_ANGLE_FINE = 0.02
 _SQRT3_2 = 0.5 * math.sqrt(3.0)
 
 
 @kernel
 def _solve_at(par, st, y):
-    theta_m = par.n_p * (st.theta_M + y[TURN])
-    w_m = par.n_p * y[W_M]
+    """Fill `st.electric` for the state y."""
+    theta_m = par.n_p * (st.theta_M + y[_TURN_M])
     c, s = math.cos(theta_m), math.sin(theta_m)
-    solve(par, st.bridge, st.electric, y[I_D], y[I_Q], w_m, c, s, par.u_dc)
+    w_m = par.n_p * y[_W_M]
+    solve(par, st.bridge, st.electric, y[_I_D], y[_I_Q], w_m, c, s, y[_U_DC])
 
 
 @kernel
-def _rail_current(st):
-    """Current out of the positive rail (A)."""
-    el = st.electric
-    bits = conducting_rails(st.bridge)
-    total = 0.0
-    if bits & 1:
-        total += el.i_alpha
-    if bits & 2:
-        total += -0.5 * el.i_alpha + _SQRT3_2 * el.i_beta
-    if bits & 4:
-        total += -0.5 * el.i_alpha - _SQRT3_2 * el.i_beta
-    return total
+def _rectified(par, t):
+    """Voltage behind a three-phase diode bridge (V), six pulses per grid period."""
+    pulse = math.pi / 3.0
+    angle = (par.grid_w * t) % pulse - 0.5 * pulse
+    return par.grid_peak * math.cos(angle)
 
 
 @kernel
-def derivative(par, st, y, dy):
-    """Time derivative of all integrated quantities."""
+def _derivative(par, st, t, y, dy):
+    """Time derivative of all integrated quantities, t (s) after the period began."""
     _solve_at(par, st, y)
     el = st.electric
-    dy[I_D] = el.di_d
-    dy[I_Q] = el.di_q
-    tau_M = torque(par, y[I_D], y[I_Q])
-    dy[W_M] = (tau_M - par.tau_L - par.B * y[W_M]) / par.J
-    dy[TURN] = y[W_M]
-    dy[ENERGY] = par.u_dc * _rail_current(st)
+    dy[_I_D] = el.di_d
+    dy[_I_Q] = el.di_q
+    dy[_I_F_ALPHA] = par.filter_rate * (el.i_alpha - y[_I_F_ALPHA])
+    dy[_I_F_BETA] = par.filter_rate * (el.i_beta - y[_I_F_BETA])
+    dy[_COPPER] = 1.5 * par.R_s * (el.i_alpha**2 + el.i_beta**2)
+    dy[_IRON] = 1.5 * par.iron_conductance * (el.e_alpha**2 + el.e_beta**2)
+
+    # DC link
+    i_dc, dy[_INVERTER] = rail_current(st.bridge, el)
+    u_dc = y[_U_DC]
+    dy[_DC] = u_dc * i_dc
+    if par.rectifier:
+        now = st.period * par.T_s + t
+        i_grid = max(0.0, (_rectified(par, now) - u_dc) * par.grid_conductance)
+        i_chopper = u_dc * par.chopper_conductance if st.chopping else 0.0
+        dy[_SUPPLY] = u_dc * i_grid
+        dy[_CHOPPER] = u_dc * i_chopper
+        dy[_U_DC] = (i_grid - i_dc - i_chopper) / par.capacitance
+    else:
+        dy[_SUPPLY] = dy[_DC]
+        dy[_CHOPPER] = 0.0
+        dy[_U_DC] = 0.0
+
+    # mechanics
+    w_M = y[_W_M]
+    tau_M = el.torque + cogging(par, st.theta_M + y[_TURN_M])
+    tau_f = friction(par, w_M)
+    dy[_TURN_M] = w_M
+    dy[_FRICTION] = tau_f * w_M
+    dy[_BRAKE] = (par.tau_L - y[_BRAKE]) * par.brake_rate
+    if par.load_kind == _SPEED:
+        dy[_W_M] = 0.0
+        dy[_LOAD] = (tau_M - tau_f) * w_M
+    elif par.shaft:
+        w_L = y[_W_L]
+        slip = w_M - w_L
+        tau_shaft = par.shaft_stiffness * y[_TWIST] + par.shaft_damping * slip
+        tau_L = load_torque(par, st.period, t, w_L, y[_BRAKE])
+        dy[_W_M] = (tau_M - tau_f - tau_shaft) / par.J
+        dy[_W_L] = (tau_shaft - tau_L) / par.J_load
+        dy[_TWIST] = slip
+        dy[_FRICTION] += par.shaft_damping * slip * slip
+        dy[_LOAD] = tau_L * w_L
+    else:
+        tau_L = load_torque(par, st.period, t, w_M, y[_BRAKE])
+        dy[_W_M] = (tau_M - tau_f - tau_L) / par.J
+        dy[_LOAD] = tau_L * w_M
 
 
 @kernel
-def _step(par, st, work, h):
-    """One Runge-Kutta step of length h (s) from `work[0]` to `work[1]`; `work[2]` holds y'."""
+def _step(par, st, work, t, h):
+    """One Runge-Kutta step of length h (s) from `work[0]` at t, where y' is `work[2]`, to
+    `work[1]`."""
     y, y_end, k_1, k_2, k_3, k_4 = work[0], work[1], work[2], work[3], work[4], work[5]
     half = 0.5 * h
-    for n in range(SIZE):
+    for n in range(N_INTEGRATED):
         y_end[n] = y[n] + half * k_1[n]
-    derivative(par, st, y_end, k_2)
-    for n in range(SIZE):
+    _derivative(par, st, t + half, y_end, k_2)
+    for n in range(N_INTEGRATED):
         y_end[n] = y[n] + half * k_2[n]
-    derivative(par, st, y_end, k_3)
-    for n in range(SIZE):
+    _derivative(par, st, t + half, y_end, k_3)
+    for n in range(N_INTEGRATED):
         y_end[n] = y[n] + h * k_3[n]
-    derivative(par, st, y_end, k_4)
+    _derivative(par, st, t + h, y_end, k_4)
     sixth = h / 6.0
-    for n in range(SIZE):
+    for n in range(N_INTEGRATED):
         y_end[n] = y[n] + sixth * (k_1[n] + 2.0 * (k_2[n] + k_3[n]) + k_4[n])
 
 
 @kernel
-def _margin_after(par, st, work, h):
+def _margin_after(par, st, work, t, h):
     """Step by h and tell how far the conduction is from changing then."""
-    _step(par, st, work, h)
+    _step(par, st, work, t, h)
     _solve_at(par, st, work[1])
-    return margin(st.bridge, st.electric, par.u_dc)
+    return margin(st.bridge, st.electric, work[1][_U_DC])
 
 
 @kernel
-def _step_to_event(par, st, work, h, start, end):
+def _step_to_event(par, st, work, t, h, start, end):
     """Shorten the step from h to where the margin, `start` at 0 and `end` < 0 at h, is zero.
 
     Bisection until there is a bracket, then regula falsi (Illinois variant). Returns the length.
@@ -113,7 +169,7 @@ def _step_to_event(par, st, work, h, start, end):
             length = 0.5 * (low + high)
         if high - low < 1e-16:
             break
-        here = _margin_after(par, st, work, length)
+        here = _margin_after(par, st, work, t, length)
         if abs(here) < 1e-13:
             break
         if here > 0.0:
@@ -126,27 +182,53 @@ def _step_to_event(par, st, work, h, start, end):
             if side == -1:
                 at_low *= 0.5
             side = -1
-    _step(par, st, work, length)
+    _step(par, st, work, t, length)
     return length
 
 
 @kernel
-def _settle(par, st, work):
+def _settle(par, st, work, t):
     """After a change of the gates or of the conduction: find the modes anew."""
     y = work[0]
-    theta_m = par.n_p * (st.theta_M + y[TURN])
-    w_m = par.n_p * y[W_M]
+    theta_m = par.n_p * (st.theta_M + y[_TURN_M])
     c, s = math.cos(theta_m), math.sin(theta_m)
-    y[I_D], y[I_Q] = find_modes(par, st.bridge, st.electric, y[I_D], y[I_Q], w_m, c, s, par.u_dc)
-    derivative(par, st, y, work[2])
+    w_m = par.n_p * y[_W_M]
+    y[_I_D], y[_I_Q] = find_modes(
+        par, st.bridge, st.electric, y[_I_D], y[_I_Q], w_m, c, s, y[_U_DC]
+    )
+    _derivative(par, st, t, y, work[2])
 
 
 @kernel
 def _clean(par, st, y):
     """Keep the current of floating legs at zero against the error of the integration."""
-    theta_m = par.n_p * (st.theta_M + y[TURN])
+    theta_m = par.n_p * (st.theta_M + y[_TURN_M])
     c, s = math.cos(theta_m), math.sin(theta_m)
-    y[I_D], y[I_Q] = without_floating(st.bridge, y[I_D], y[I_Q], c, s)
+    y[_I_D], y[_I_Q] = without_floating(par, st.bridge, y[_I_D], y[_I_Q], c, s)
+
+
+@kernel
+def _longest_step(par, st, y):
+    """Longest step (s) that keeps the error small now."""
+    angle = _STEP_ANGLE_FINE if par.harmonics or par.saturates else _STEP_ANGLE
+    w_m = abs(par.n_p * y[_W_M])
+    h = par.h_general
+    if w_m * h > angle:
+        h = angle / w_m
+    if par.iron_conductance > 0.0 and floating_leg(st.bridge) != NONE_FLOATS:
+        # the field of a floating leg dies away within L G
+        h = min(h, 0.5 * min(par.L_d, par.L_q) * par.iron_conductance)
+    return h
+
+
+@kernel
+def _look(par, st, work, t, target):
+    """State of the currents at `target` >= t by a step that leads nowhere else."""
+    if target > t:
+        _step(par, st, work, t, target - t)
+        _solve_at(par, st, work[1])
+    else:
+        _solve_at(par, st, work[0])
 
 
 @kernel
@@ -159,8 +241,7 @@ def _oversample(par, st, work, t_0, t_1, k, i_abc, legs_out):
     n = legs_out.shape[0]
     dt = par.T_s / n
     while k < n and k * dt < t_1:
-        _step(par, st, work, max(k * dt - t_0, 0.0))
-        _solve_at(par, st, work[1])
+        _look(par, st, work, t_0, k * dt)
         el = st.electric
         i_abc[3 * k] = el.i_alpha
         i_abc[3 * k + 1] = -0.5 * el.i_alpha + _SQRT3_2 * el.i_beta
@@ -171,13 +252,76 @@ def _oversample(par, st, work, t_0, t_1, k, i_abc, legs_out):
 
 
 @kernel
+def _take_samples(par, st, work, t_0, t_1):
+    """Keep what the sensors will report at the start of the next period, if it is their time."""
+    t = par.T_s - par.sampling_lead
+    if t_0 <= t < t_1 or (t_1 == par.T_s and t == t_1):
+        _look(par, st, work, t_0, t)
+        if par.filter_rate > 0.0:
+            y = work[1] if t > t_0 else work[0]
+            st.i_sampled[0], st.i_sampled[1] = y[_I_F_ALPHA], y[_I_F_BETA]
+        else:
+            st.i_sampled[0], st.i_sampled[1] = st.electric.i_alpha, st.electric.i_beta
+    t = par.T_s - par.encoder_latency
+    if t_0 <= t < t_1 or (t_1 == par.T_s and t == t_1):
+        _look(par, st, work, t_0, t)
+        y = work[1] if t > t_0 else work[0]
+        st.theta_sampled = st.theta_M + y[_TURN_M]
+
+
+@kernel
+def _begin(par, st, y):
+    """State at the start of the period."""
+    y[_I_D], y[_I_Q] = st.i_d, st.i_q
+    y[_W_M] = par.w_imposed if par.load_kind == _SPEED else st.w_M
+    if not st.general_before:
+        theta_m = par.n_p * st.theta_M
+        c, s = math.cos(theta_m), math.sin(theta_m)
+        st.i_f_alpha = c * st.i_d - s * st.i_q
+        st.i_f_beta = s * st.i_d + c * st.i_q
+        st.u_dc = par.u_dc
+        st.w_L = y[_W_M]
+        st.twist = 0.0
+        st.tau_brake = par.tau_L
+        for x in range(3):
+            st.level[x] = 1 if st.duty[x] == 1.0 else 0
+            st.since[x] = 1.0
+        st.general_before = True
+    if not par.rectifier:
+        st.u_dc = par.u_dc
+    elif st.u_dc >= par.chopper_on:
+        st.chopping = True
+    elif st.u_dc <= par.chopper_off:
+        st.chopping = False
+    if par.brake_rate == 0.0:
+        st.tau_brake = par.tau_L
+    y[_U_DC], y[_W_L], y[_TWIST] = st.u_dc, st.w_L, st.twist
+    y[_BRAKE] = st.tau_brake
+    y[_I_F_ALPHA], y[_I_F_BETA] = st.i_f_alpha, st.i_f_beta
+
+
+@kernel
+def _end(par, st, y):
+    """State after the period, but for angle and period number."""
+    st.i_d, st.i_q, st.w_M = y[_I_D], y[_I_Q], y[_W_M]
+    st.u_dc, st.w_L, st.twist = y[_U_DC], y[_W_L], y[_TWIST]
+    st.tau_brake = y[_BRAKE]
+    st.i_f_alpha, st.i_f_beta = y[_I_F_ALPHA], y[_I_F_BETA]
+    for n in range(N_INTEGRATED - FIRST_ENERGY):
+        st.energy[n] += y[FIRST_ENERGY + n]
+    remember_gates(par, st)
+
+
+@kernel
 def integrate(par, st, i_abc, legs_out):
-    """Advance the state by one period; returns the mechanical angle turned (rad) and the energy
-    taken from the DC link (J)."""
-    work = np.zeros((6, SIZE))
+    """Advance the state by one period.
+
+    Returns the mechanical angle turned (rad) and the energy taken from the DC link (J).
+    """
+    work = np.zeros((_ROWS, N_INTEGRATED))
     y, y_end = work[0], work[1]
-    y[I_D], y[I_Q], y[W_M] = st.i_d, st.i_q, st.w_M
-    instants = np.empty(32)
+    _begin(par, st, y)
+    instants = np.empty(40)
     n_instants = switching_instants(par, st, instants)
     events = 0
     n_over, k = legs_out.shape[0], 0
@@ -186,40 +330,42 @@ def integrate(par, st, i_abc, legs_out):
         middle = 0.5 * (t + t_end)
         watched = False
         for x in range(3):
-            connect_leg(st.bridge, x, leg_gate(par, st, x, middle))
+            connect_leg(par, st.bridge, x, leg_gate(par, st, x, middle))
             watched = watched or st.bridge.watched[x] == 1
-        _settle(par, st, work)
-        before = margin(st.bridge, st.electric, par.u_dc) if watched else 0.0
+        _settle(par, st, work, t)
+        before = margin(st.bridge, st.electric, y[_U_DC]) if watched else 0.0
         while t < t_end:
-            rate = max(1.0 / par.h_max, abs(par.n_p * y[W_M]) / MAX_STEP_ANGLE)
-            steps = math.ceil((t_end - t) * rate)
+            steps = max(1, math.ceil((t_end - t) / _longest_step(par, st, y)))
             h = (t_end - t) / steps
-            _step(par, st, work, h)
+            _step(par, st, work, t, h)
             t_next = t_end if steps == 1 else t + h
             event = False
             if watched and events < _MAX_EVENTS:
                 _solve_at(par, st, y_end)
-                after = margin(st.bridge, st.electric, par.u_dc)
+                after = margin(st.bridge, st.electric, y_end[_U_DC])
                 if after < 0.0:
                     event = True
                     events += 1
-                    h = _step_to_event(par, st, work, h, before, after)
+                    h = _step_to_event(par, st, work, t, h, before, after)
                     t_next = t + h
                 before = after
-            if n_over > 0:
-                # it uses the same work space, so the step is done again after it
-                k_next = _oversample(par, st, work, t, t_next, k, i_abc, legs_out)
-                if k_next != k:
-                    k = k_next
-                    _step(par, st, work, h)
+            looked = False
+            if n_over > 0 and k < n_over and k * par.T_s / n_over < t_next:
+                k = _oversample(par, st, work, t, t_next, k, i_abc, legs_out)
+                looked = True
+            if par.T_s - max(par.sampling_lead, par.encoder_latency) < t_next or t_next == par.T_s:
+                _take_samples(par, st, work, t, t_next)
+                looked = True
+            if looked:
+                _step(par, st, work, t, h)  # the looks used its work space
             y[:] = y_end
             t = t_next
             if event:
-                _settle(par, st, work)
-                before = margin(st.bridge, st.electric, par.u_dc)
+                _settle(par, st, work, t)
+                before = margin(st.bridge, st.electric, y[_U_DC])
             else:
                 if watched:
                     _clean(par, st, y)
-                derivative(par, st, y, work[2])
-    st.i_d, st.i_q, st.w_M = y[I_D], y[I_Q], y[W_M]
-    return y[TURN], y[ENERGY]
+                _derivative(par, st, t, y, work[2])
+    _end(par, st, y)
+    return y[_TURN_M], y[_DC]

@@ -12,6 +12,24 @@ _INV_SQRT3 = 1.0 / math.sqrt(3.0)
 
 
 @kernel
+def _modulate(par, st):
+    """What the PWM hardware makes of the duties.
+
+    The up-down counter compares with whole numbers: d = round(d N) / N with N counts from zero to
+    its peak. A pulse of either level shorter than `min_pulse` is left out.
+    """
+    for x in range(3):
+        d = st.duty[x]
+        if par.timer_counts > 0.0:
+            d = math.floor(d * par.timer_counts + 0.5) / par.timer_counts
+        if d * par.T_s < par.min_pulse:
+            d = 0.0
+        elif (1.0 - d) * par.T_s < par.min_pulse:
+            d = 1.0
+        st.duty[x] = d
+
+
+@kernel
 def take_command(par, st):
     """Decide what the inverter applies in the period that begins now: `st.duty`, `st.gates_on`.
 
@@ -35,6 +53,8 @@ def take_command(par, st):
     elif st.period > 0:
         st.enable = False
     st.latched = False
+    if par.modulator:
+        _modulate(par, st)
     st.gates_on = st.enable and not st.tripped
 
 
@@ -84,12 +104,46 @@ def set_pattern(st, T_s):
 
 
 @kernel
+def _told(par, st, x, t):
+    """What leg x is told at time t (s) of the period: 1 high, 0 low; and when that began (s)."""
+    d = st.duty[x]
+    half = 0.5 * par.T_s
+    high = d == 1.0 or abs(t - half) < half * d
+    if d > 0.0 and d < 1.0:
+        if high:
+            return 1, half * (1.0 - d)
+        if t > half:
+            return 0, half * (1.0 + d)
+    # as since the start of the period, or longer
+    level = 1 if high else 0
+    return level, 0.0 if level != st.level[x] else -st.since[x]
+
+
+@kernel
 def leg_gate(par, st, x, t):
-    """Gates of leg x at time t (s) in the period: 1 upper on, -1 lower on, 0 both off."""
+    """Gates of leg x at time t (s) in the period: 1 upper on, -1 lower on, 0 both off.
+
+    After every change of what a leg is told, both its switches are off for the dead time.
+    """
     if not st.gates_on:
         return 0
-    half = 0.5 * par.T_s
-    return 1 if abs(t - half) < half * st.duty[x] else -1
+    level, began = _told(par, st, x, t)
+    if t - began < par.dead_time:
+        return 0
+    return 1 if level == 1 else -1
+
+
+@kernel
+def remember_gates(par, st):
+    """Keep for the next period what each leg is told, and since when."""
+    for x in range(3):
+        if st.gates_on:
+            level, began = _told(par, st, x, par.T_s)
+            st.level[x] = level
+            st.since[x] = min(par.T_s - began, 1.0)
+        else:
+            st.level[x] = 0
+            st.since[x] = 1.0
 
 
 @kernel
@@ -114,9 +168,13 @@ def switching_instants(par, st, instants):
     """
     instants[0] = 0.0
     n = 1
-    if st.gates_on:
-        half = 0.5 * par.T_s
-        for x in range(3):
-            n = _insert(instants, n, half * (1.0 - st.duty[x]))
-            n = _insert(instants, n, half * (1.0 + st.duty[x]))
-    return _insert(instants, n, par.T_s)
+    n = _insert(instants, n, par.T_s)
+    if not st.gates_on:
+        return n
+    half = 0.5 * par.T_s
+    for x in range(3):
+        for edge in (-st.since[x], 0.0, half * (1.0 - st.duty[x]), half * (1.0 + st.duty[x])):
+            for t in (edge, edge + par.dead_time):
+                if t > 0.0 and t < par.T_s:
+                    n = _insert(instants, n, t)
+    return n
