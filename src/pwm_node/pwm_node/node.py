@@ -381,7 +381,8 @@ class PwmNode(LifecycleNode):
 
     def _silence(self, awaited: LoopSubscription, seconds: float) -> str:
         if self.count_publishers(awaited.topic):
-            why = "who publishes it is there, but silent"
+            # One that was killed counts as there for 20 s.
+            why = f"who publishes it is silent; if it has died, start it with '{awaited.start}'"
         else:
             why = f"nobody publishes it; start it with '{awaited.start}'"
         return f"{awaited.topic}: nothing came for {seconds:.0f} s, waiting: {why}"

@@ -58,6 +58,7 @@ def _ros_value(parameter: Parameter, value: Value) -> Value:
 
 def from_ros(parameter: Parameter, value: Any) -> Any:
     """Return what the table shall validate, from a value that came through ROS."""
-    if parameter.kind == "list[str]" and isinstance(value, (list, tuple)):
-        return [text for text in value if text != ""]
+    if parameter.kind == "list[str]" and (value is None or isinstance(value, (list, tuple))):
+        # An empty list in a parameter file has no type, and comes as None.
+        return [text for text in value or () if text != ""]
     return value

@@ -241,6 +241,14 @@ def test_an_exception_ends_the_process_with_one_line(start):
     assert "pong at rest" in process.said
 
 
+@pytest.mark.parametrize("entries", ["[]", '[""]'])
+def test_an_empty_list_in_a_parameter_file(start, tmp_path, entries):
+    file = tmp_path / "ping.yaml"
+    file.write_text(f"ping:\n  ros__parameters:\n    schedule: {entries}\n    periods: 500\n")
+    process = start("both", "--ros-args", "--params-file", str(file))
+    process.wait_for("done 500")
+
+
 def test_a_misspelt_parameter_ends_the_start(start):
     process = start("both", "--ros-args", "-p", "fial_at:=100")
     assert process.end(seconds=40.0) == 1
