@@ -19,7 +19,7 @@ from rclpy.timer import Timer
 from mfpcc_controller.drive import Controller, control
 from mfpcc_controller.parameters import TABLE
 from mfpcc_msgs.msg import DriveReference, DriveStatus, DutyCommand, LutDiagnostics, PhaseFeedback
-from pwm_node import spin
+from pwm_node import compiled, spin
 from pwm_node.diagnostics import Part
 from pwm_node.node import PwmNode
 from pwm_node.wire import Wire, WireError
@@ -55,6 +55,7 @@ class MfpccController(PwmNode):
         self._command = Wire(DutyCommand)
         self._lut = Wire(LutDiagnostics)
         self._lut.set_string("scheme", self.core.scheme)
+        self._compile()
         self._decimation: int = self.values["diagnostics_decimation"]
         self.period = -1
         self._command_out = self.create_loop_publisher(DutyCommand, "duty_command")
@@ -71,6 +72,13 @@ class MfpccController(PwmNode):
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self._told: tuple[Any, ...] = ()
+
+    def _compile(self) -> None:
+        """Compile the kernel, or load it, before a sample waits for it."""
+        compiled.announce(self.get_logger().info)
+        trial = Controller(self.values)
+        records = self._feedback.fixed, self._command.fixed, self._lut.fixed
+        control(trial.cfg, trial.mem, *records, True)
 
     def activate(self) -> None:
         """Enable the inverter from the next command on."""

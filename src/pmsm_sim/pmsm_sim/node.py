@@ -20,7 +20,7 @@ from rclpy.timer import Timer
 from mfpcc_msgs.msg import DriveState, DriveStatus, DutyCommand, PhaseFeedback
 from pmsm_sim.parameters import TABLE
 from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
-from pwm_node import spin
+from pwm_node import compiled, spin
 from pwm_node.diagnostics import Level, Part
 from pwm_node.node import PwmNode
 from pwm_node.wire import Wire, WireError
@@ -59,6 +59,7 @@ class PmsmSim(PwmNode):
         self._command = Wire(DutyCommand)
         self._feedback = Wire(PhaseFeedback)
         self._state = Wire(DriveState, i_abc_oversampled=3 * n, legs_oversampled=n)
+        self._compile()
         self._decimation: int = self.values["state_decimation"]
         self._periods: int = self.values["periods"]
         self.period = -1
@@ -73,6 +74,17 @@ class PmsmSim(PwmNode):
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self._told: tuple[Any, ...] = ()
+
+    def _compile(self) -> None:
+        """Compile the kernels, or load them, before a period waits for them."""
+        compiled.announce(self.get_logger().info)
+        trial = Plant(self.values)
+        tail = self._state.tail
+        records = self._feedback.fixed, self._state.fixed
+        latch(trial.st, self._command.fixed)
+        advance(
+            trial.par, trial.st, *records, tail["i_abc_oversampled"], tail["legs_oversampled"]
+        )
 
     def activate(self) -> None:
         """Let the commands reach the gates; the first time, begin with period 0."""
