@@ -1,8 +1,12 @@
-"""Kinds of numbers on the command line."""
+"""Kinds of arguments on the command line."""
 
 from __future__ import annotations
 
+import argparse
 from argparse import ArgumentTypeError
+from typing import Any
+
+from ros2_standin.catalogue import not_here
 
 
 def positive_int(text: str) -> int:
@@ -47,3 +51,18 @@ def non_negative_float(text: str) -> float:
     if not value >= 0.0:
         raise ArgumentTypeError(f"Value {text} is less than zero.")
     return value
+
+
+class _Missing(argparse.Action):
+    """An option that only ROS 2's own command has: names that one, and ends."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *rest: Any) -> None:
+        raise SystemExit(not_here(f"{parser.prog} {rest[-1]}"))
+
+
+def add_missing(parser: argparse.ArgumentParser, *options: str) -> None:
+    """Accept options of the real command only to say that they are not here."""
+    for option in options:
+        parser.add_argument(
+            option, action=_Missing, nargs="*", dest="missing", help=argparse.SUPPRESS
+        )

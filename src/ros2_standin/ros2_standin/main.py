@@ -7,7 +7,7 @@ import importlib
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import ModuleType
 from typing import Any
@@ -31,7 +31,7 @@ class _LazyParser(argparse.ArgumentParser):
 def _add_choices(
     parser: argparse.ArgumentParser,
     name: str,
-    choices: dict[str, tuple[str, Callable[[_LazyParser], None]]],
+    choices: Mapping[str, tuple[str, Callable[[_LazyParser], None]]],
     missing: Sequence[str],
 ) -> None:
     """Add the commands below `name` to its parser."""

@@ -115,13 +115,10 @@ class _Dumper(yaml.SafeDumper):
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
-    def represent_dict(self, data: dict[Any, Any]) -> yaml.MappingNode:
-        node = super().represent_dict(data)
+    def represent_mapping(self, *args: Any, **options: Any) -> yaml.MappingNode:
+        node = super().represent_mapping(*args, **options)
         node.flow_style = False
         return node
-
-
-_Dumper.add_representer(dict, _Dumper.represent_dict)
 
 
 def _outline(value: Any, kind: Any) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -57,7 +57,9 @@ def add_node_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def cli_node(args: argparse.Namespace, name: str | None = None) -> Iterator[Node]:
+def cli_node(
+    args: argparse.Namespace, name: str | None = None, ros_args: Sequence[str] = ()
+) -> Iterator[Node]:
     """
     Start a node for one command.
 
@@ -67,8 +69,10 @@ def cli_node(args: argparse.Namespace, name: str | None = None) -> Iterator[Node
         With ``use_sim_time``, if the verb has that.
     name : str, optional
         Name of the node. If not given, one that lists leave out.
+    ros_args : sequence of str
+        As after ``--ros-args``.
     """
-    rclpy.init(args=[])
+    rclpy.init(args=["--ros-args", *ros_args] if ros_args else [])
     try:
         node = rclpy.create_node(
             name or f"_ros2cli_{os.getpid()}",

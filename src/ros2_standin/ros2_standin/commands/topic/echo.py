@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> Result:
-    fields = None
+    fields: list[str] = []
     if args.field is not None:
         fields = [part for part in args.field.split(".") if part]
         if not fields:
@@ -83,7 +83,7 @@ def main(args: argparse.Namespace) -> Result:
         def take(message: Any, info: dict[str, int]) -> None:
             if done.done():
                 return
-            for field in fields or ():
+            for field in fields:
                 try:
                     message = getattr(message, field)
                 except AttributeError as error:
