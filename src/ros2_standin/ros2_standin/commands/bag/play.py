@@ -35,8 +35,8 @@ RCLError = rclpy_implementation.RCLError
 
 NAME = "rosbag2_player"
 SECOND = 10**9  # ns
-#: Time that the last messages get to arrive (ms).
-LAST_MOMENT_MS = 1000
+#: Longest time that the last messages get to arrive (ms).
+LAST_MOMENT_MS = 5000
 #: Longest time without a look whether to stop (s).
 LOOK_PERIOD = 0.1
 
