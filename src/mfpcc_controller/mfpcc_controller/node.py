@@ -142,8 +142,8 @@ class MfpccController(PwmNode):
         return True
 
     def on_stall(self, seconds: float) -> None:
-        """Send the last command again to a plant that came after it was sent."""
-        if self._command_out.new_listener and self.period >= 0:
+        """Send the last command again: whoever came after it was sent has not got it."""
+        if self.period >= 0:
             self._command_out.publish_aside(self._command.to_bytes())
 
     def _heard(self) -> bool:

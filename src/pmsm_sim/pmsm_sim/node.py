@@ -172,8 +172,8 @@ class PmsmSim(PwmNode):
             self._state_out.publish(self._state.to_bytes())
 
     def on_stall(self, seconds: float) -> None:
-        """Send the last sample again to a controller that came after it was sent."""
-        if self._feedback_out.new_listener and self.period >= 0:
+        """Send the last sample again: whoever came after it was sent has not got it."""
+        if self.period >= 0:
             self._feedback_out.publish_aside(self._feedback.to_bytes())
 
     # Paced mode -----------------------------------------------------------------------------

@@ -353,8 +353,9 @@ class PwmNode(LifecycleNode):
     def on_stall(self, seconds: float) -> None:
         """Get the loop going again; called every 0.5 s while `period` does not change.
 
-        A message that was sent before its receiver was there is lost. So a node sends its last
-        message again if ``publisher.new_listener``. It is called early then, too.
+        A message that was sent before its receiver was there is lost, so a node sends its last
+        message again; receivers know it by its period. If a new subscriber came since that
+        message was sent, this is called at once.
         """
 
     def _watch(self) -> None:

@@ -87,7 +87,7 @@ class Ping(PwmNode):
         self._begin(self.period + 1)
 
     def on_stall(self, seconds):
-        if self.out.new_listener:
+        if self.period >= 0:
             self.out.publish(self.sample.to_bytes())
 
 
@@ -119,7 +119,7 @@ class Pong(PwmNode):
         print("pong at rest", flush=True)
 
     def on_stall(self, seconds):
-        if self.out.new_listener:
+        if self.period >= 0:
             self.out.publish(self.command.to_bytes())
 
 
