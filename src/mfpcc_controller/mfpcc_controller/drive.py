@@ -1,8 +1,9 @@
 """The drive controller: one PWM period from the sample to the command.
 
-`Controller` holds the records; the kernel `control` does the work of one period and is what both
-the node and the in-process engine call. A controller sees measurement records, and nothing else
-of the plant. Nothing here knows of ROS.
+`Controller` holds the records. The kernel `control` does the work of one period and is what both
+the node and the in-process engine call; its three stages `sample`, `choose`, `command` are kernels
+of their own, so that a plug-in in Python can stand in the place of the second. A controller sees
+measurement records, and nothing else of the plant. Nothing here knows of ROS.
 """
 
 from __future__ import annotations
@@ -12,108 +13,186 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mfpcc_controller import motor
-from mfpcc_controller.observer import observe
-from mfpcc_controller.parameters import SCHEMES
+from mfpcc_controller import motor, plug_in
+from mfpcc_controller.observer import observe, turned_by
+from mfpcc_controller.parameters import MFPCC_UPDATES, SCHEMES
 from mfpcc_controller.records import CONTROL_CFG, CONTROL_MEMORY
-from mfpcc_controller.schemes import mbpcc, mfpcc, mls_mfpcc
-from mfpcc_controller.speed_loop import current_reference
-from mfpcc_controller.vectors import leg_duties
+from mfpcc_controller.schemes import (
+    mbpcc,
+    mbpcc_single_vector,
+    mfpcc,
+    mfpcc_two_vector,
+    mls_mfpcc,
+    neso_mfpcc,
+    pi_foc,
+    ultra_local_eso,
+    ultra_local_smo,
+)
+from mfpcc_controller.speed_loop import current_reference, mtpa_d
+from mfpcc_controller.vectors import copy_output, leg_duties, set_output
 from pwm_node.compiled import kernel
 
 _MLS_MFPCC = SCHEMES.index("mls_mfpcc")
 _MFPCC = SCHEMES.index("mfpcc")
 _MBPCC = SCHEMES.index("mbpcc")
+_MBPCC_SINGLE_VECTOR = SCHEMES.index("mbpcc_single_vector")
+_NESO_MFPCC = SCHEMES.index("neso_mfpcc")
+_PI_FOC = SCHEMES.index("pi_foc")
+_ULTRA_LOCAL_ESO = SCHEMES.index("ultra_local_eso")
+_ULTRA_LOCAL_SMO = SCHEMES.index("ultra_local_smo")
+_MFPCC_TWO_VECTOR = SCHEMES.index("mfpcc_two_vector")
+_BUILT_IN = len(SCHEMES)
 
 _TWO_PI = 2.0 * math.pi
 _INV_SQRT3 = 1.0 / math.sqrt(3.0)
+_THIRD = 1.0 / 3.0
+
+# Dwell times may sum up to one and a rounding error.
+_WHOLE_PERIOD = 1.0 + 1e-9
 
 
 @kernel
-def _measure(cfg, mem, fb):
-    """Take the sample: currents, angle, speed, and the turns of the three periods at hand."""
-    mem.contiguous = mem.running and fb.period == mem.period + np.uint64(1)
+def sample(cfg, mem, fb):
+    """Take the sample: currents, angle, speed, the turns of the periods at hand, references."""
+    mem.consecutive = mem.running and fb.period == mem.period + np.uint64(1)
     mem.running = True
     mem.period = fb.period
 
-    mem.past.a, mem.past.b = mem.now.a, mem.now.b
-    mem.past.d_a, mem.past.d_b = mem.now.d_a, mem.now.d_b
-    if mem.contiguous:
-        mem.now.a, mem.now.b = mem.next.a, mem.next.b
-        mem.now.d_a, mem.now.d_b = mem.next.d_a, mem.next.d_b
+    copy_output(mem.now, mem.past)
+    if mem.consecutive:
+        copy_output(mem.next, mem.now)
     else:
         # nothing is known of what the inverter does; without a command it is the zero vector
-        mem.now.a, mem.now.b, mem.now.d_a, mem.now.d_b = 0, 0, 0.0, 0.0
+        set_output(mem.now, 0, 0, 0.0, 0.0)
+        mem.now.on = True
         mem.pll_samples = 0
+    mem.contiguous = mem.consecutive and mem.past.on
 
     mem.u_dc = fb.dc_voltage
     mem.theta_m = cfg.n_p * fb.encoder_angle
-    observe(cfg, mem)
     mem.turn = complex(math.cos(mem.theta_m), -math.sin(mem.theta_m))
-    half = 0.5 * cfg.T_s * mem.w_m
-    half_turn = complex(math.cos(half), -math.sin(half))
+    observe(cfg, mem)
+    half = turned_by(0.5 * cfg.T_s * mem.w_m)
     mem.turn_past = mem.turn_now
-    mem.turn_now = mem.turn * half_turn
-    mem.turn_next = mem.turn_now * half_turn * half_turn
+    mem.turn_now = mem.turn * half
+    mem.turn_next = mem.turn_now * (half * half)
 
     mem.i_dq_past = mem.i_dq
-    i_alpha = (2.0 * fb.i_a - fb.i_b - fb.i_c) / 3.0
+    i_alpha = (2.0 * fb.i_a - fb.i_b - fb.i_c) * _THIRD
     i_beta = (fb.i_b - fb.i_c) * _INV_SQRT3
     mem.i_dq = complex(i_alpha, i_beta) * mem.turn
     mem.e = mem.i_dq - mem.i_hat if mem.contiguous else 0j
+    current_reference(cfg, mem)
+
+    if mem.chosen != cfg.scheme:
+        mem.chosen = cfg.scheme
+        mem.fallen = False
+        mem.failed = False
+    active = cfg.fallback if mem.fallen else cfg.scheme
+    mem.kept = mem.active == active
+    mem.active = active
+    mem.eta = 0.0
+    mem.updated = np.uint8(0)
+    mem.bounded = False
 
 
 @kernel
-def _scheme_step(cfg, mem):
-    if cfg.scheme == _MLS_MFPCC:
+def choose(cfg, mem):
+    """Let the built-in scheme in control choose `mem.next`; a plug-in has done so already."""
+    active = mem.active
+    if active == _MLS_MFPCC:
         mls_mfpcc.step(cfg, mem)
-    elif cfg.scheme == _MFPCC:
+    elif active == _MFPCC:
         mfpcc.step(cfg, mem)
-    else:
+    elif active == _MBPCC:
         mbpcc.step(cfg, mem)
+    elif active == _MBPCC_SINGLE_VECTOR:
+        mbpcc_single_vector.step(cfg, mem)
+    elif active == _NESO_MFPCC:
+        neso_mfpcc.step(cfg, mem)
+    elif active == _PI_FOC:
+        pi_foc.step(cfg, mem)
+    elif active == _ULTRA_LOCAL_ESO:
+        ultra_local_eso.step(cfg, mem)
+    elif active == _ULTRA_LOCAL_SMO:
+        ultra_local_smo.step(cfg, mem)
+    elif active == _MFPCC_TWO_VECTOR:
+        mfpcc_two_vector.step(cfg, mem)
 
 
 @kernel
-def _scheme_show(cfg, mem):
-    if cfg.scheme == _MLS_MFPCC:
-        mls_mfpcc.show(cfg, mem)
-    elif cfg.scheme == _MFPCC:
-        mfpcc.show(cfg, mem)
+def _show(cfg, mem, diag):
+    """Let the scheme in control fill its part of the diagnostics."""
+    active = mem.active
+    if active == _MLS_MFPCC:
+        mls_mfpcc.show(cfg, mem, diag)
+    elif active == _MFPCC:
+        mfpcc.show(cfg, mem, diag)
+    elif active == _MFPCC_TWO_VECTOR:
+        mfpcc_two_vector.show(cfg, mem, diag)
+    elif active == _NESO_MFPCC:
+        neso_mfpcc.show(cfg, mem, diag)
+    elif active in (_ULTRA_LOCAL_ESO, _ULTRA_LOCAL_SMO):
+        ultra_local_eso.show(cfg, mem, diag)
+    elif active < _BUILT_IN:
+        mbpcc.show(cfg, mem, diag)
     else:
-        mbpcc.show(cfg, mem)
+        plug_in.show(diag)
+
+
+@kernel
+def _sound(mem):
+    """Whether the chosen output can be given to the inverter; written so that NaN is not."""
+    out = mem.next
+    return (
+        out.d_a >= 0.0
+        and out.d_b >= 0.0
+        and out.d_a + out.d_b <= _WHOLE_PERIOD
+        and out.a >= 0
+        and out.a <= 6
+        and out.b >= 0
+        and out.b <= 6
+    )
+
+
+@kernel
+def _fall_back(cfg, mem):
+    """The scheme in control has failed: the fallback answers the same sample."""
+    # whatever the failed one has learned is not to be trusted
+    mem.mls.ready = False
+    mem.mfpcc.ready = False
+    mem.neso.ready = False
+    mem.ultra.ready = False
+    mem.pi.ready = False
+    if not mem.fallen and cfg.fallback != mem.active:
+        mem.fallen = True
+        mem.active = cfg.fallback
+        mem.kept = False
+        choose(cfg, mem)
+        if _sound(mem):
+            return
+    mem.fallen = True
+    mem.failed = True
+    set_output(mem.next, 0, 0, 0.0, 0.0)
+    mem.i_hat = mem.i_dq
 
 
 @kernel
 def _set_stamp(stamp, period, period_ns):
     t_ns = np.int64(period) * period_ns
-    stamp.sec = t_ns // 1_000_000_000
-    stamp.nanosec = t_ns % 1_000_000_000
-
-
-@kernel
-def _command(cfg, mem, cmd):
-    """Fill the command record with the chosen output."""
-    cmd.period = mem.period + np.uint64(1)
-    _set_stamp(cmd.stamp, cmd.period, cfg.period_ns)
-    leg_duties(mem.next, cmd.duty)
-    cmd.vectors[0] = mem.next.a
-    cmd.vectors[1] = mem.next.b
-    cmd.dwell[0] = mem.next.d_a
-    cmd.dwell[1] = mem.next.d_b
-    cmd.enable = True
+    sec = t_ns // 1_000_000_000
+    stamp.sec = sec
+    stamp.nanosec = t_ns - 1_000_000_000 * sec
 
 
 @kernel
 def _diagnose(cfg, mem, diag):
     """Fill the diagnostics record."""
-    _scheme_show(cfg, mem)
+    _show(cfg, mem, diag)
     diag.period = mem.period
     _set_stamp(diag.stamp, mem.period, cfg.period_ns)
-    for j in range(7):
-        diag.gradient_re[j] = mem.g[j].real
-        diag.gradient_im[j] = mem.g[j].imag
-        diag.age[j] = mem.age[j]
     diag.prediction_error[0] = mem.e.real
     diag.prediction_error[1] = mem.e.imag
     diag.i_dq[0] = mem.i_dq.real
@@ -122,11 +201,41 @@ def _diagnose(cfg, mem, diag):
     diag.i_dq_ref[1] = mem.i_dq_ref.imag
     diag.w_m = mem.w_m
     diag.speed_ref = cfg.w_M_ref if cfg.speed_control else np.nan
-    for j in range(3):
-        diag.error_share[j] = mem.share[j]
     diag.learning_rate = mem.eta
     diag.updated = mem.updated
     diag.bounded = mem.bounded
+
+
+@kernel
+def command(cfg, mem, cmd, diag, want_diag):
+    """Check the chosen output, fall back if need be, and fill the command and the diagnostics."""
+    if not _sound(mem):
+        _fall_back(cfg, mem)
+    elif mem.active >= _BUILT_IN:
+        # a plug-in sets vectors and dwell times only
+        set_output(mem.next, mem.next.a, mem.next.b, mem.next.d_a, mem.next.d_b)
+    on = cfg.enable and not mem.failed
+    if not on:
+        set_output(mem.next, 0, 0, 0.0, 0.0)
+    mem.next.on = on
+    cmd.period = mem.period + np.uint64(1)
+    _set_stamp(cmd.stamp, cmd.period, cfg.period_ns)
+    leg_duties(mem.next, cmd.duty)
+    cmd.vectors[0] = mem.next.a
+    cmd.vectors[1] = mem.next.b
+    cmd.dwell[0] = mem.next.d_a
+    cmd.dwell[1] = mem.next.d_b
+    cmd.enable = on
+    if want_diag:
+        _diagnose(cfg, mem, diag)
+
+
+@kernel
+def answer(cfg, mem, fb, cmd, diag, want_diag):
+    """`control` on the records themselves, for compiled loops."""
+    sample(cfg, mem, fb)
+    choose(cfg, mem)
+    command(cfg, mem, cmd, diag, want_diag)
 
 
 @kernel
@@ -141,18 +250,18 @@ def control(cfg_, mem_, fb_, cmd_, diag_, want_diag):
     want_diag : bool
         Whether to fill `diag_`.
     """
-    cfg, mem = cfg_[0], mem_[0]
-    _measure(cfg, mem, fb_[0])
-    mem.scheme_kept = mem.active == cfg.scheme
-    mem.active = cfg.scheme
-    mem.updated = np.uint8(0)
-    mem.bounded = False
-    mem.eta = 0.0
-    current_reference(cfg, mem)
-    _scheme_step(cfg, mem)
-    _command(cfg, mem, cmd_[0])
-    if want_diag:
-        _diagnose(cfg, mem, diag_[0])
+    answer(cfg_[0], mem_[0], fb_[0], cmd_[0], diag_[0], want_diag)
+
+
+@kernel
+def _sample(cfg_, mem_, fb_):
+    sample(cfg_[0], mem_[0], fb_[0])
+
+
+@kernel
+def _command(cfg_, mem_, cmd_, diag_, want_diag):
+    choose(cfg_[0], mem_[0])
+    command(cfg_[0], mem_[0], cmd_[0], diag_[0], want_diag)
 
 
 class Controller:
@@ -177,27 +286,115 @@ class Controller:
         self.cfg["period_ns"] = round(1e9 / values["pwm_frequency"])
         self.cfg["n_p"] = self.motor.n_p
         self.cfg["i_max"] = self.motor.i_max
+        self.cfg["enable"] = True
         self.mem["active"] = -1
+        self.mem["chosen"] = -1
+        self._plug_in: plug_in.Host | None = None
         self.apply(values)
 
     @property
     def scheme(self) -> str:
-        """Name of the scheme in control."""
-        return str(self.values["scheme"])
+        """Name of the scheme in control: the chosen one, or the fallback in its place."""
+        return str(self.values["fallback_scheme" if self.fallen else "scheme"])
+
+    @property
+    def fallen(self) -> bool:
+        """Whether the chosen scheme failed; a new choice ends that."""
+        return bool(self.mem["fallen"][0])
+
+    @property
+    def failed(self) -> bool:
+        """Whether the fallback failed too, and the gates are off for it."""
+        return bool(self.mem["failed"][0])
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the gates are to be on; while they are off, no scheme learns or integrates."""
+        return bool(self.cfg["enable"][0])
+
+    @enabled.setter
+    def enabled(self, on: bool) -> None:
+        self.cfg["enable"] = on
+
+    @property
+    def compiled(self) -> bool:
+        """Whether `control` alone does a period, with no plug-in in Python between."""
+        return self._plug_in is None
+
+    @property
+    def complaint(self) -> str:
+        """What a plug-in that failed has to say, for people; empty otherwise."""
+        return self._plug_in.complaint if self._plug_in is not None else ""
+
+    def step(
+        self,
+        feedback: NDArray[np.void],
+        command: NDArray[np.void],
+        diagnostics: NDArray[np.void],
+        want_diagnostics: bool,
+    ) -> None:
+        """One period, whoever is in control; parameters as of `control`."""
+        host = self._plug_in
+        if host is None:
+            control(self.cfg, self.mem, feedback, command, diagnostics, want_diagnostics)
+            return
+        _sample(self.cfg, self.mem, feedback)
+        if self.mem["active"][0] >= _BUILT_IN:
+            host.step()
+        _command(self.cfg, self.mem, command, diagnostics, want_diagnostics)
 
     def apply(self, changes: Mapping[str, Any]) -> None:
         """Take over changed parameters; they act from the next sample on."""
         self.values.update(changes)
         values, cfg, est_par = self.values, self.cfg, self.motor
-        cfg["scheme"] = SCHEMES.index(values["scheme"])
+        T_s = 1.0 / values["pwm_frequency"]
+        if "scheme" in changes:
+            self._choose_scheme(values["scheme"])
+        cfg["fallback"] = SCHEMES.index(values["fallback_scheme"])
         cfg["R_s"] = est_par.R_s * values["mismatch.resistance"]
         cfg["L_d"] = est_par.L_d * values["mismatch.inductance"]
         cfg["L_q"] = est_par.L_q * values["mismatch.inductance"]
         cfg["psi_f"] = est_par.psi_f * values["mismatch.flux"]
+        cfg["b_d"] = T_s / cfg["L_d"]
+        cfg["b_q"] = T_s / cfg["L_q"]
+        self._apply_references()
 
+        cfg["rank_sectors"] = values["sector_search"] == "ranking"
+        cfg["project"] = values["overmodulation"] == "project"
+        self._apply_mls(changes)
+        cfg["mfpcc_update"] = MFPCC_UPDATES.index(values["mfpcc.update"])
+        cfg["mfpcc_u_min"] = values["mfpcc.u_min"]
+        cfg["mfpcc_refresh"] = values["mfpcc.refresh"]
+        cfg["neso_w_o"] = values["neso.bandwidth"]
+        cfg["ultra_w_o"] = values["ultra_local.bandwidth"]
+        cfg["smo_k"] = values["smo.gain"]
+        cfg["smo_width"] = values["smo.width"]
+        cfg["pi_alpha"] = values["pi.bandwidth"]
+
+    def _choose_scheme(self, name: str) -> None:
+        if name in SCHEMES:
+            self.cfg["scheme"] = SCHEMES.index(name)
+            self._plug_in = None
+        else:
+            # a new number each time, so that the switch is seen
+            self.cfg["scheme"] = max(int(self.cfg["scheme"][0]), _BUILT_IN - 1) + 1
+            self._plug_in = plug_in.Host(name, self.motor, self.cfg, self.mem)
+
+    def _apply_references(self) -> None:
+        """Parameters of the speed loop, the references and the rotor observer."""
+        values, cfg, est_par = self.values, self.cfg, self.motor
         cfg["speed_control"] = values["control_mode"] == "speed"
         cfg["w_M_ref"] = values["speed_ref_rpm"] * _TWO_PI / 60.0
         cfg["i_dq_ref"] = complex(values["i_d_ref"], values["i_q_ref"])
+        # References are made from the motor file, whatever mismatch the current control has: all
+        # schemes shall follow the same ones.
+        saliency = est_par.L_q - est_par.L_d
+        salient = values["mtpa"] and abs(saliency) > 1e-3 * est_par.L_q
+        cfg["mtpa"] = est_par.psi_f / (4.0 * saliency) if salient else 0.0
+        cfg["i_s_max"] = self._current_limit(values["torque_limit"])
+        cfg["weaken"] = _WEAKENING_BANDWIDTH / est_par.L_d if values["field_weakening"] else 0.0
+        if not values["field_weakening"]:
+            self.mem["i_d_weak"] = 0.0
         # gains of Harnefors et al. for bandwidth alpha_s; torque per ampere of the motor file
         alpha_s = values["speed.bandwidth"]
         inertia = est_par.J / (1.5 * est_par.n_p * est_par.psi_f)
@@ -208,13 +405,45 @@ class Controller:
         cfg["pll_k_p"] = 2.0 * omega_o
         cfg["pll_k_i"] = omega_o * omega_o
 
-        cfg["rank_sectors"] = values["sector_search"] == "ranking"
-        cfg["project"] = values["overmodulation"] == "project"
-        if "mls.window" in changes:
-            # the ring is laid out for its length: start a new one
-            self.mem["mls"]["filled"] = 0
-            self.mem["mls"]["pair_filled"] = 0
-            self.mem["mls"]["head"] = 0
-        for name in ("window", "beta", "eta_min", "eta_max", "e_0", "g_max"):
-            cfg[f"mls_{name}"] = values[f"mls.{name}"]
-        cfg["mfpcc_u_min"] = values["mfpcc.u_min"]
+    def _current_limit(self, torque_limit: float) -> float:
+        """Largest current amplitude (A) whose torque is within the limit (N m; 0: none)."""
+        est_par, mtpa = self.motor, float(self.cfg["mtpa"][0])
+
+        def torque(i_s: float) -> float:
+            i_d = mtpa_d(mtpa, i_s) if mtpa else 0.0
+            flux = est_par.psi_f + (est_par.L_d - est_par.L_q) * i_d
+            return 1.5 * est_par.n_p * flux * math.sqrt(i_s * i_s - i_d * i_d)
+
+        if torque_limit == 0.0 or torque(est_par.i_max) <= torque_limit:
+            return est_par.i_max
+        low, high = 0.0, est_par.i_max
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if torque(middle) < torque_limit else (low, middle)
+        return low
+
+    def _apply_mls(self, changes: Mapping[str, Any]) -> None:
+        values, cfg = self.values, self.cfg
+        window, beta = values["mls.window"], values["mls.beta"]
+        cfg["mls_empty"] = values["mls.start"] == "empty"
+        cfg["mls_window"] = window
+        cfg["mls_beta"] = beta
+        cfg["mls_oldest"] = beta**window if window else 0.0
+        weights = window if beta == 1.0 else (1.0 - cfg["mls_oldest"][0]) / (1.0 - beta)
+        cfg["mls_mean"] = 1.0 / weights
+        cfg["mls_eta_max"] = values["mls.eta_max"]
+        cfg["mls_eta_span"] = values["mls.eta_max"] - values["mls.eta_min"]
+        cfg["mls_e_0_sq"] = values["mls.e_0"] ** 2
+        cfg["mls_e_max_sq"] = (values["mls.g_max"] / max(values["mls.eta_max"], 1e-9)) ** 2
+        cfg["mls_mu"] = values["mls.map_rate"]
+        cfg["mls_gamma"] = cfg["T_s"] / values["mls.map_memory"]
+        if "mls.window" in changes or "mls.beta" in changes:
+            # the sums belong to the old window
+            memory = self.mem["mls"]
+            memory["pair"] = -1
+            for name in ("sum_0", "sum_a", "sum_b", "norm_a", "norm_b", "e_0"):
+                memory[name] = 0.0
+
+
+#: Bandwidth of field weakening (rad/s): slower than the current, faster than the speed
+_WEAKENING_BANDWIDTH = 100.0

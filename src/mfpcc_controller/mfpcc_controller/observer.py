@@ -7,12 +7,13 @@ import math
 from pwm_node.compiled import kernel
 
 _TWO_PI = 2.0 * math.pi
+_TURNS = 1.0 / _TWO_PI
 
 
 @kernel
 def wrapped(angle):
     """The same angle in [-pi, pi)."""
-    return angle - _TWO_PI * math.floor(angle / _TWO_PI + 0.5)
+    return angle - _TWO_PI * math.floor(angle * _TURNS + 0.5)
 
 
 @kernel
@@ -23,16 +24,26 @@ def observe(cfg, mem):
     the difference of two angles, so the loop starts in lock at any speed.
     """
     error = wrapped(mem.theta_m - mem.pll_theta)
-    if mem.pll_samples == 0:
-        mem.w_m = 0.0
-        error = 0.0
-        mem.pll_theta = mem.theta_m
-    elif mem.pll_samples == 1:
-        mem.w_m = error / cfg.T_s
-        error = 0.0
-        mem.pll_theta = mem.theta_m
-    else:
+    if not abs(error) < 4.0:
+        # an angle that is no number must not stay in the loop
+        mem.pll_samples = 0
+        return
+    if mem.pll_samples >= 2:
         mem.w_m += cfg.T_s * cfg.pll_k_i * error
-    if mem.pll_samples < 2:
-        mem.pll_samples += 1
-    mem.pll_theta = wrapped(mem.pll_theta + cfg.T_s * (mem.w_m + cfg.pll_k_p * error))
+        mem.pll_theta = wrapped(mem.pll_theta + cfg.T_s * (mem.w_m + cfg.pll_k_p * error))
+        return
+    # the first sample knows an angle only
+    mem.w_m = 0.0 if mem.pll_samples == 0 else error / cfg.T_s
+    mem.pll_theta = wrapped(mem.theta_m + cfg.T_s * mem.w_m)
+    mem.pll_samples += 1
+
+
+@kernel
+def turned_by(angle):
+    """exp(-1j angle), cheaply where the angle is small: to rounding error below 0.1 rad."""
+    x = angle * angle
+    if x > 0.01:
+        return complex(math.cos(angle), -math.sin(angle))
+    c = 1.0 - x * (0.5 - x * (1.0 / 24 - x * (1.0 / 720 - x * (1.0 / 40320))))
+    s = angle * (1.0 - x * (1.0 / 6 - x * (1.0 / 120 - x * (1.0 / 5040 - x * (1.0 / 362880)))))
+    return complex(c, -s)

@@ -2,18 +2,57 @@
 
 from __future__ import annotations
 
-from pwm_node.parameters import Parameter, Table
+import importlib.metadata
+from collections.abc import Mapping
+
+from pwm_node.parameters import Parameter, Table, Value
 
 #: Built-in schemes; the position is the number the kernels know them by.
-SCHEMES = ("mls_mfpcc", "mfpcc", "mbpcc")
+SCHEMES = (
+    "mls_mfpcc",
+    "mfpcc",
+    "mbpcc",
+    "mbpcc_single_vector",
+    "neso_mfpcc",
+    "pi_foc",
+    "ultra_local_eso",
+    "ultra_local_smo",
+    "mfpcc_two_vector",
+)
+
+#: Entry points of schemes that other packages offer, by name; a built-in name stays built in.
+PLUG_INS = {
+    point.name: point
+    for point in importlib.metadata.entry_points(group="mfpcc_controller.schemes")
+    if point.name not in SCHEMES
+}
+
+#: How `mfpcc` keeps its table
+MFPCC_UPDATES = ("linear", "last", "last_refresh")
+
+MLS_STARTS = ("model", "empty")
 SECTOR_SEARCHES = ("dwell", "ranking")
 OVERMODULATIONS = ("scale", "project")
 CONTROL_MODES = ("speed", "current")
 
+
+def _check(values: Mapping[str, Value]) -> str | None:
+    """Rules across several parameters."""
+    low, high = values["mls.eta_min"], values["mls.eta_max"]
+    if low > high:  # type: ignore[operator]
+        return f"'mls.eta_min' = {low} must not exceed 'mls.eta_max' = {high}"
+    if values["mls.beta"] == 1.0 and values["mls.window"] == 0:
+        return "'mls.window' = 0 (not limited) needs 'mls.beta' below 1: something has to end it"
+    return None
+
+
 TABLE = Table(
     [
         Parameter(
-            "motor", "seed_750", "Motor: a name of config/motors or the path of a file", read_only=True
+            "motor",
+            "seed_750",
+            "Motor: a name of config/motors or the path of a file",
+            read_only=True,
         ),
         Parameter(
             "pwm_frequency",
@@ -24,7 +63,13 @@ TABLE = Table(
             maximum=100_000.0,
             read_only=True,
         ),
-        Parameter("scheme", "mls_mfpcc", "Current-control scheme", choices=SCHEMES),
+        Parameter("scheme", "mls_mfpcc", "Current-control scheme", choices=(*SCHEMES, *PLUG_INS)),
+        Parameter(
+            "fallback_scheme",
+            "pi_foc",
+            "Who takes over in the same period when the scheme fails",
+            choices=SCHEMES,
+        ),
         Parameter(
             "mismatch.inductance",
             1.0,
@@ -47,9 +92,7 @@ TABLE = Table(
             maximum=100.0,
         ),
         Parameter("control_mode", "speed", "What is regulated", choices=CONTROL_MODES),
-        Parameter(
-            "speed_ref_rpm", 0.0, "Speed reference", unit="r/min", minimum=-1e5, maximum=1e5
-        ),
+        Parameter("speed_ref_rpm", 0.0, "Speed reference", unit="r/min", minimum=-1e5, maximum=1e5),
         Parameter(
             "i_d_ref",
             0.0,
@@ -67,8 +110,27 @@ TABLE = Table(
             maximum=1e4,
         ),
         Parameter(
+            "torque_limit",
+            0.0,
+            "Largest torque the speed loop asks for; 0: what the motor's current limit allows",
+            unit="N m",
+            minimum=0.0,
+            maximum=1e5,
+        ),
+        Parameter(
+            "mtpa",
+            False,
+            "Maximum torque per ampere: the speed loop's torque with the smallest current, i_d_ref "
+            "added to it (salient machines)",
+        ),
+        Parameter(
+            "field_weakening",
+            False,
+            "Negative i_d where the inverter's voltage is at its limit",
+        ),
+        Parameter(
             "speed.bandwidth",
-            100.0,
+            50.0,
             "Bandwidth of the speed loop",
             unit="rad/s",
             minimum=0.1,
@@ -97,17 +159,27 @@ TABLE = Table(
             choices=OVERMODULATIONS,
         ),
         Parameter(
-            "mls.window", 5, "Samples in the moving-least-squares window", minimum=1, maximum=32
+            "mls.start",
+            "model",
+            "What the table of mls_mfpcc holds at first: the model's mean inductance, or nothing, "
+            "which is then measured by a few short pulses",
+            choices=MLS_STARTS,
         ),
         Parameter(
-            "mls.beta", 0.8, "Forgetting factor of the window", minimum=0.0, maximum=1.0
+            "mls.window",
+            0,
+            "Samples in the moving-least-squares window; 0: all, the forgetting factor alone "
+            "limits it",
+            minimum=0,
+            maximum=32,
         ),
-        Parameter("mls.eta_min", 0.05, "Learning rate at small errors", minimum=0.0, maximum=1.0),
+        Parameter("mls.beta", 0.8, "Forgetting factor of the window", minimum=0.0, maximum=1.0),
+        Parameter("mls.eta_min", 0.02, "Learning rate at small errors", minimum=0.0, maximum=1.0),
         Parameter("mls.eta_max", 0.5, "Learning rate at large errors", minimum=0.0, maximum=1.0),
         Parameter(
             "mls.e_0",
             0.3,
-            "Error at which the learning rate goes from small to large",
+            "Error at which the learning rate is halfway from small to large",
             unit="A",
             minimum=1e-6,
             maximum=1e3,
@@ -121,12 +193,76 @@ TABLE = Table(
             maximum=1e3,
         ),
         Parameter(
+            "mls.map_rate",
+            0.01,
+            "Rate at which the forced entries follow what the moving part of the voltage tells; "
+            "0: the paper's update alone",
+            minimum=0.0,
+            maximum=1.0,
+        ),
+        Parameter(
+            "mls.map_memory",
+            2e-3,
+            "Memory of the voltage's mean, from which its moving part is counted",
+            unit="s",
+            minimum=1e-3,
+            maximum=10.0,
+        ),
+        Parameter("mfpcc.update", "linear", "How mfpcc keeps its table", choices=MFPCC_UPDATES),
+        Parameter(
             "mfpcc.u_min",
             20.0,
-            "A voltage change smaller than this updates no gradient of mfpcc",
+            "A voltage change smaller than this teaches mfpcc (linear) no gain",
             unit="V",
             minimum=0.0,
             maximum=1e3,
+        ),
+        Parameter(
+            "mfpcc.refresh",
+            50,
+            "A vector not applied for so many periods is applied for one (last_refresh)",
+            minimum=7,
+            maximum=100_000,
+        ),
+        Parameter(
+            "neso.bandwidth",
+            1_200.0,
+            "Bandwidth of the observer of neso_mfpcc",
+            unit="rad/s",
+            minimum=1.0,
+            maximum=20_000.0,
+        ),
+        Parameter(
+            "ultra_local.bandwidth",
+            1_200.0,
+            "Bandwidth of the observer of ultra_local_eso",
+            unit="rad/s",
+            minimum=1.0,
+            maximum=20_000.0,
+        ),
+        Parameter(
+            "smo.gain",
+            2_000.0,
+            "Strength of the observer of ultra_local_smo",
+            unit="A/s",
+            minimum=1.0,
+            maximum=1e6,
+        ),
+        Parameter(
+            "smo.width",
+            1.0,
+            "Width of its boundary layer",
+            unit="A",
+            minimum=1e-3,
+            maximum=1e3,
+        ),
+        Parameter(
+            "pi.bandwidth",
+            2_500.0,
+            "Bandwidth of the current control of pi_foc",
+            unit="rad/s",
+            minimum=1.0,
+            maximum=20_000.0,
         ),
         Parameter(
             "diagnostics_decimation",
@@ -150,5 +286,6 @@ TABLE = Table(
             "Parameter changes at given simulated times, each 'SECONDS NAME VALUE'",
             read_only=True,
         ),
-    ]
+    ],
+    check=_check,
 )

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-#: Longest moving-least-squares window
+#: Longest limited moving-least-squares window
 WINDOW_MAX = 32
 
 CONTROL_CFG = np.dtype(
     [
-        ("scheme", np.int64),  # position in parameters.SCHEMES
+        ("scheme", np.int64),  # position in parameters.SCHEMES; beyond: a plug-in
+        ("fallback", np.int64),  # who takes over when it fails
+        ("enable", np.bool_),  # False: gates off
         ("T_s", np.float64),  # (s)
         ("period_ns", np.int64),
         # the controller's model of the motor (est_par with the mismatch applied)
@@ -21,12 +23,18 @@ CONTROL_CFG = np.dtype(
         ("L_d", np.float64),  # (H)
         ("L_q", np.float64),
         ("psi_f", np.float64),  # (V s)
+        ("b_d", np.float64),  # T_s / L_d (A per V and period)
+        ("b_q", np.float64),  # T_s / L_q
         ("n_p", np.float64),
         # references
         ("speed_control", np.bool_),
         ("w_M_ref", np.float64),  # (rad/s)
         ("i_dq_ref", np.complex128),  # (A); its q part is the speed loop's in speed control
         ("i_max", np.float64),  # (A)
+        ("i_s_max", np.float64),  # the same or less, for the torque limit (A)
+        # maximum torque per ampere: psi_f / (4 (L_q - L_d)) of the motor file (A); 0: off
+        ("mtpa", np.float64),
+        ("weaken", np.float64),  # field weakening (A/(V s) at 1 rad/s); 0: off
         # speed loop, from the motor file's values
         ("k_p", np.float64),  # (A s/rad)
         ("k_i", np.float64),  # (A/rad)
@@ -38,14 +46,28 @@ CONTROL_CFG = np.dtype(
         ("rank_sectors", np.bool_),
         ("project", np.bool_),
         # MLS-MFPCC
-        ("mls_window", np.int64),
+        ("mls_empty", np.bool_),  # start with nothing in the table
+        ("mls_window", np.int64),  # 0: not limited
         ("mls_beta", np.float64),
-        ("mls_eta_min", np.float64),
+        ("mls_oldest", np.float64),  # weight of the sample that leaves the window
+        ("mls_mean", np.float64),  # 1 / sum of all weights
         ("mls_eta_max", np.float64),
-        ("mls_e_0", np.float64),  # (A)
-        ("mls_g_max", np.float64),  # (A)
+        ("mls_eta_span", np.float64),  # eta_max - eta_min
+        ("mls_e_0_sq", np.float64),  # (A^2)
+        ("mls_e_max_sq", np.float64),  # (g_max / eta_max)^2 (A^2)
+        ("mls_mu", np.float64),
+        ("mls_gamma", np.float64),
         # MFPCC
+        ("mfpcc_update", np.int64),  # position in parameters.MFPCC_UPDATES
         ("mfpcc_u_min", np.float64),  # (V)
+        ("mfpcc_refresh", np.uint64),  # periods
+        # observers of NESO-MFPCC and of the ultra-local schemes
+        ("neso_w_o", np.float64),  # (rad/s)
+        ("ultra_w_o", np.float64),
+        ("smo_k", np.float64),  # (A/s)
+        ("smo_width", np.float64),  # (A)
+        # PI
+        ("pi_alpha", np.float64),  # (rad/s)
     ],
     align=True,
 )
@@ -57,6 +79,8 @@ OUTPUT = np.dtype(
         ("b", np.int64),
         ("d_a", np.float64),
         ("d_b", np.float64),
+        ("u", np.complex128),  # mean voltage in ab, over u_dc
+        ("on", np.bool_),  # gates on
     ],
     align=True,
 )
@@ -64,19 +88,40 @@ OUTPUT = np.dtype(
 MLS_MEMORY = np.dtype(
     [
         ("ready", np.bool_),  # the look-up table holds something
-        ("g", np.complex128, (7,)),  # [0] in dq, [1..6] in ab (A per period)
-        # window, newest at [head]; the natural entry's, and the pair's (emptied at a new pair)
+        # the table: the natural entry (A per period, dq), and the forced entries as a linear map,
+        # which they are by their symmetry: answer to 1 V on the d and on the q axis (A/V, dq)
+        ("g_0", np.complex128),
+        ("m_d", np.complex128),
+        ("m_q", np.complex128),
+        ("learned_at", np.uint64),  # period of the last update
+        ("learned", np.bool_),  # there was one
+        # weighted sums over the window, and the norms of the active vectors' (dq)
+        ("sum_0", np.complex128),
+        ("sum_a", np.complex128),
+        ("sum_b", np.complex128),
+        ("norm_a", np.float64),
+        ("norm_b", np.float64),
+        ("pair", np.int64),  # vector a of the pair that the window is for
+        ("pair_age", np.int64),  # periods since its first sample
+        # what is in a limited window
         ("head", np.int64),
-        ("filled", np.int64),
-        ("natural_at", np.uint64),  # period of the last update
-        ("forced_at", np.uint64),
         ("e_0", np.complex128, (WINDOW_MAX,)),
-        ("pair_filled", np.int64),
-        ("pair_a", np.int64),
-        ("d_a", np.float64, (WINDOW_MAX,)),
-        ("d_b", np.float64, (WINDOW_MAX,)),
         ("e_a", np.complex128, (WINDOW_MAX,)),
         ("e_b", np.complex128, (WINDOW_MAX,)),
+        ("q_a", np.float64, (WINDOW_MAX,)),
+        ("q_b", np.float64, (WINDOW_MAX,)),
+        # voltage of the period that the next error is about, its mean and mean square deviation
+        ("u_dq", np.complex128),  # (V)
+        ("u_mean", np.complex128),
+        ("u_var", np.float64),  # (V^2)
+        ("u_known", np.bool_),
+        # 1 / (sin(60 degrees) |u_j|), for the u_dc it was computed for
+        ("per_volt", np.float64),
+        ("u_dc", np.float64),
+        # self-commissioning
+        ("stage", np.int64),
+        ("dwell", np.float64),
+        ("response", np.complex128, (3,)),
     ],
     align=True,
 )
@@ -85,10 +130,30 @@ MFPCC_MEMORY = np.dtype(
     [
         ("ready", np.bool_),
         ("g", np.complex128, (7,)),  # whole increments, all in dq (A per period)
+        ("gain_d", np.float64),  # (A/V)
+        ("gain_q", np.float64),
         ("di_prev", np.complex128),  # increment of period k - 2 (A)
         ("u_prev", np.complex128),  # voltage of period k - 2, in dq (V)
         ("history", np.bool_),  # the two above are there
-        ("updated_at", np.uint64),
+        ("updated_at", np.uint64, (7,)),
+    ],
+    align=True,
+)
+
+#: States of an observer, per axis (dq)
+OBSERVER_MEMORY = np.dtype(
+    [
+        ("ready", np.bool_),
+        ("z_1", np.complex128),  # current at the next sample (A)
+        ("z_2", np.complex128),  # what the model does not know (A/s)
+    ],
+    align=True,
+)
+
+PI_MEMORY = np.dtype(
+    [
+        ("ready", np.bool_),
+        ("integral", np.complex128),  # (V)
     ],
     align=True,
 )
@@ -97,7 +162,8 @@ CONTROL_MEMORY = np.dtype(
     [
         ("period", np.uint64),  # k
         ("running", np.bool_),  # a sample has been taken before
-        ("contiguous", np.bool_),  # and it was sample k - 1
+        ("consecutive", np.bool_),  # and it was sample k - 1
+        ("contiguous", np.bool_),  # and the gates were on in period k - 1: its output is known
         # rotor
         ("theta_m", np.float64),  # measured electrical angle (rad)
         ("w_m", np.float64),  # estimated electrical speed (rad/s)
@@ -112,30 +178,33 @@ CONTROL_MEMORY = np.dtype(
         ("i_dq", np.complex128),
         ("i_dq_past", np.complex128),  # sample k - 1
         ("i_dq_ref", np.complex128),
-        ("i_hat", np.complex128),  # prediction of sample k, made at k - 1; replaced by that of k + 1
+        ("i_hat", np.complex128),  # predicted sample k, from k - 1; the scheme puts in sample k + 1
         ("e", np.complex128),  # i_dq - i_hat
         ("u_dc", np.float64),  # measured (V)
         # outputs of the periods k - 1 (past), k (now, committed) and k + 1 (next, to choose)
         ("past", OUTPUT),
         ("now", OUTPUT),
         ("next", OUTPUT),
-        # speed loop
-        ("i_q_int", np.float64),  # its integral (A)
+        # speed loop and field weakening
+        ("i_q_int", np.float64),  # integral of the speed loop (A)
         ("speed_ready", np.bool_),  # it has started
-        # room for the forced gradients in the rotor frame, V1..V6 at [1..6]
-        ("G", np.complex128, (7,)),
-        # what the scheme shows of itself
-        ("g", np.complex128, (7,)),  # gradients in use (A per period)
-        ("share", np.float64, (3,)),
-        ("eta", np.float64),
-        ("age", np.uint32, (7,)),
-        ("updated", np.uint8),
+        ("i_d_weak", np.float64),  # (A), <= 0
+        # who controls
+        ("chosen", np.int64),  # cfg.scheme of the last sample
+        ("active", np.int64),  # who controlled then: the chosen scheme, or the fallback
+        ("kept", np.bool_),  # the same as at the sample before
+        ("fallen", np.bool_),  # the chosen scheme failed; until another one is chosen
+        ("failed", np.bool_),  # the fallback failed too: gates off
+        # what the scheme did with this sample
+        ("eta", np.float64),  # learning rate
+        ("updated", np.uint8),  # entries updated, bit by bit
         ("bounded", np.bool_),
         # schemes' own
-        ("active", np.int64),  # scheme of the last sample
-        ("scheme_kept", np.bool_),  # it is this sample's too
         ("mls", MLS_MEMORY),
         ("mfpcc", MFPCC_MEMORY),
+        ("neso", OBSERVER_MEMORY),
+        ("ultra", OBSERVER_MEMORY),
+        ("pi", PI_MEMORY),
     ],
     align=True,
 )

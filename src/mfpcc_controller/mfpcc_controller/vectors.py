@@ -1,4 +1,4 @@
-"""The inverter's basic vectors as the controller sees them."""
+"""The inverter's basic vectors and outputs, and small operations on space vectors."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import numpy as np
 
 from pwm_node.compiled import kernel
 
-#: V0..V6 over u_dc, stationary frame: `2/3 exp(1j (j - 1) pi / 3)`, V0 = 0 (method section 1)
-BASIC_VECTORS = np.array(
-    [0.0] + [2.0 / 3.0 * np.exp(1j * (j - 1) * math.pi / 3.0) for j in range(1, 7)],
-    dtype=np.complex128,
+#: Directions of V0..V6, stationary frame: `exp(1j (j - 1) pi / 3)`, and 0 for V0
+DIRECTIONS = np.array(
+    [0.0] + [np.exp(1j * (j - 1) * math.pi / 3.0) for j in range(1, 7)], dtype=np.complex128
 )
 
 #: Upper switches (a, b, c) of V0..V6
@@ -27,11 +26,49 @@ LEGS = np.array(
     ]
 )
 
+SIN_60 = 0.5 * math.sqrt(3.0)
+
+#: Length of an active vector over u_dc (method section 1)
+ACTIVE_LENGTH = 2.0 / 3.0
+
 
 @kernel
-def mean_voltage(out, u_dc):
-    """Mean stator voltage (V, stationary frame) of one period with output `out`."""
-    return u_dc * (out.d_a * BASIC_VECTORS[out.a] + out.d_b * BASIC_VECTORS[out.b])
+def scaled(factor, z):
+    """Real factor times complex z; written as a product, the compiler would multiply 0j too."""
+    return complex(factor * z.real, factor * z.imag)
+
+
+@kernel
+def square(z):
+    """|z|^2."""
+    return z.real * z.real + z.imag * z.imag
+
+
+@kernel
+def cross(u, v):
+    """Area of the parallelogram that u and v span, positive if v is ahead of u."""
+    return u.real * v.imag - u.imag * v.real
+
+
+@kernel
+def next_vector(u):
+    """u turned by 60 degrees: from a basic vector to the one after it."""
+    return complex(0.5 * u.real - SIN_60 * u.imag, 0.5 * u.imag + SIN_60 * u.real)
+
+
+@kernel
+def set_output(out, a, b, d_a, d_b):
+    """Fill an `OUTPUT` record: vectors, dwell times, mean voltage."""
+    out.a, out.b, out.d_a, out.d_b = a, b, d_a, d_b
+    out.u = scaled(ACTIVE_LENGTH * d_a, DIRECTIONS[a]) + scaled(ACTIVE_LENGTH * d_b, DIRECTIONS[b])
+
+
+@kernel
+def copy_output(source, target):
+    """Copy an `OUTPUT` record."""
+    target.a, target.b = source.a, source.b
+    target.d_a, target.d_b = source.d_a, source.d_b
+    target.u, target.on = source.u, source.on
 
 
 @kernel
@@ -40,8 +77,8 @@ def leg_duties(out, duty):
 
     A single vector (d_a = 1) gives duties of 0 and 1.
     """
-    d_0 = 1.0 - out.d_a - out.d_b
+    half = 0.5 * (1.0 - out.d_a - out.d_b)
     for x in range(3):
-        d = 0.5 * d_0 + out.d_a * LEGS[out.a, x] + out.d_b * LEGS[out.b, x]
+        d = half + out.d_a * LEGS[out.a, x] + out.d_b * LEGS[out.b, x]
         # rounding may leave 0..1 by one unit in the last place; the inverter would refuse it
         duty[x] = min(max(d, 0.0), 1.0)

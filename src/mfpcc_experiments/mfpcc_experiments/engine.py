@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
 from numpy.typing import NDArray
 
-from mfpcc_controller.drive import Controller, control
+from mfpcc_controller.drive import Controller, answer
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant, advance, latch
 from pwm_node import schedule
@@ -77,16 +77,29 @@ def _loop(par, st, cfg, mem, cmd, feedback, command, lut, state, i_abc, legs):
     """
     for k in range(feedback.shape[0]):
         latch(st, cmd)
-        fb_k, lut_k = feedback[k : k + 1], lut[k : k + 1]
-        advance(par, st, fb_k, state[k : k + 1], i_abc[k], legs[k])
-        control(cfg, mem, fb_k, cmd, lut_k, True)
+        advance(par, st, feedback[k : k + 1], state[k : k + 1], i_abc[k], legs[k])
+        answer(cfg[0], mem[0], feedback[k], cmd[0], lut[k], True)
         command[k] = cmd[0]
 
 
 @kernel
 def _controller_block(cfg, mem, feedback, cmd, diag):
     for k in range(feedback.shape[0]):
-        control(cfg, mem, feedback[k : k + 1], cmd, diag, True)
+        answer(cfg[0], mem[0], feedback[k], cmd[0], diag[0], True)
+
+
+def _loop_in_python(
+    plant: Plant, controller: Controller, cmd: NDArray[np.void], trace: Trace
+) -> None:
+    """The same as `_loop`, period by period, with a plug-in in Python in the controller."""
+    for k in range(len(trace.feedback)):
+        latch(plant.st, cmd)
+        feedback = trace.feedback[k : k + 1]
+        advance(
+            plant.par, plant.st, feedback, trace.state[k : k + 1], trace.i_abc[k], trace.legs[k]
+        )
+        controller.step(feedback, cmd, trace.lut[k : k + 1], True)
+        trace.command[k] = cmd[0]
 
 
 class Engine:
@@ -133,25 +146,30 @@ class Engine:
                 limit = min(limit, self._due[0][0])
             n = limit - self.period
             trace = Trace.empty(n, self.plant.oversampling, self.controller.scheme)
-            _loop(
-                self.plant.par,
-                self.plant.st,
-                self.controller.cfg,
-                self.controller.mem,
-                self._command,
-                trace.feedback,
-                trace.command,
-                trace.lut,
-                trace.state,
-                trace.i_abc,
-                trace.legs,
-            )
+            if self.controller.compiled:
+                _loop(
+                    self.plant.par,
+                    self.plant.st,
+                    self.controller.cfg,
+                    self.controller.mem,
+                    self._command,
+                    trace.feedback,
+                    trace.command,
+                    trace.lut,
+                    trace.state,
+                    trace.i_abc,
+                    trace.legs,
+                )
+            else:
+                _loop_in_python(self.plant, self.controller, self._command, trace)
             self.period = limit
             yield trace
 
 
 def step_time(controller: Controller, feedback: NDArray[np.void]) -> dict[str, float]:
-    """Time of one controller step inside compiled code (us), over blocks of the samples given.
+    """Time of one controller step (us), over blocks of the samples given.
+
+    Built-in schemes run inside compiled code; a plug-in is called from Python.
 
     Parameters
     ----------
@@ -172,6 +190,10 @@ def step_time(controller: Controller, feedback: NDArray[np.void]) -> dict[str, f
     for start in range(0, len(feedback), _TIMED_BLOCK):
         block = feedback[start : start + _TIMED_BLOCK]
         begin = time.perf_counter_ns()
-        _controller_block(controller.cfg, controller.mem, block, command, lut)
+        if controller.compiled:
+            _controller_block(controller.cfg, controller.mem, block, command, lut)
+        else:
+            for k in range(len(block)):
+                controller.step(block[k : k + 1], command, lut, True)
         times.append((time.perf_counter_ns() - begin) / len(block) * 1e-3)
     return {"median": float(np.median(times)), "p99": float(np.percentile(times, 99))}

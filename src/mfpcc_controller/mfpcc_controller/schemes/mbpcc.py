@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from mfpcc_controller import model, search
-from mfpcc_controller.vectors import mean_voltage
+from mfpcc_controller.diagnostics import show_gradients, show_nothing_learned
 from pwm_node.compiled import kernel
 
 
 @kernel
 def step(cfg, mem):
     """Predict sample k + 1 with the committed output, then reach the reference at k + 2."""
-    u_now = mean_voltage(mem.now, mem.u_dc) * mem.turn_now
-    i_1 = mem.i_dq + model.natural(cfg, mem.w_m, mem.i_dq) + model.forced(cfg, u_now)
+    i_1 = model.predict(cfg, mem)
     x = mem.i_dq_ref - i_1 - model.natural(cfg, mem.w_m, i_1)
-    model.forced_vectors(cfg, mem.u_dc, mem.turn_next, mem.G)
-    search.choose(cfg, x, mem.G, mem.next)
+    G_1, G_2 = model.forced_vectors(cfg, mem.u_dc, mem.turn_next)
+    search.choose(cfg, x, G_1, G_2, mem.next)
     mem.i_hat = i_1
 
 
 @kernel
-def show(cfg, mem):
+def show(cfg, mem, diag):
     """The model's gradients at this sample."""
-    model.forced_vectors(cfg, mem.u_dc, mem.turn_now, mem.g)
-    for j in range(1, 7):
-        mem.g[j] *= mem.turn_now.conjugate()
-    mem.g[0] = model.natural(cfg, mem.w_m, mem.i_dq)
+    G_1, G_2 = model.forced_vectors(cfg, mem.u_dc, mem.turn_now)
+    back = mem.turn_now.conjugate()
+    show_gradients(diag, model.natural(cfg, mem.w_m, mem.i_dq), G_1 * back, G_2 * back)
+    show_nothing_learned(diag)

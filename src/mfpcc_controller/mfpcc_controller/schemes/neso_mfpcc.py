@@ -1,0 +1,65 @@
+"""NESO-MFPCC: MBPCC whose model is corrected by a nonlinear extended state observer (method
+section 7, after the paper's rival).
+
+Per axis, with h the model's increment of the period:
+
+    err = z1 - i(k)
+    z1 <- z1 + h + T_s (z2 - 2 w_o err)
+    z2 <- z2 - T_s w_o^2 fal(err)
+    fal(x) = x  if |x| <= delta,  else delta^(1 - alpha) |x|^alpha sign(x)
+
+and T_s z2, all that the model does not know, is added to the natural response in both predictions.
+"""
+
+from __future__ import annotations
+
+import math
+
+from mfpcc_controller import model, search
+from mfpcc_controller.diagnostics import show_gradients, show_nothing_learned
+from mfpcc_controller.vectors import scaled
+from pwm_node.compiled import kernel
+
+# alpha = 1/2, so that the power is a root
+_DELTA = 0.1  # (A)
+
+
+@kernel
+def _fal(x):
+    size = abs(x)
+    if size <= _DELTA:
+        return x
+    return math.copysign(math.sqrt(_DELTA * size), x)
+
+
+@kernel
+def step(cfg, mem):
+    """Observe, predict sample k + 1 with the committed output, reach the reference at k + 2."""
+    eso, w_o, T_s = mem.neso, cfg.neso_w_o, cfg.T_s
+    if not eso.ready:
+        eso.z_2 = 0j
+        eso.ready = True
+    h = model.predict(cfg, mem) - mem.i_dq
+    if not (mem.contiguous and mem.kept):
+        eso.z_1 = mem.i_dq
+    err = eso.z_1 - mem.i_dq
+    z_2 = eso.z_2
+    eso.z_1 += h + scaled(T_s, z_2 - scaled(2.0 * w_o, err))
+    eso.z_2 = z_2 - scaled(T_s * w_o * w_o, complex(_fal(err.real), _fal(err.imag)))
+
+    unknown = scaled(T_s, eso.z_2)
+    i_1 = mem.i_dq + h + unknown
+    x = mem.i_dq_ref - i_1 - model.natural(cfg, mem.w_m, i_1) - unknown
+    G_1, G_2 = model.forced_vectors(cfg, mem.u_dc, mem.turn_next)
+    search.choose(cfg, x, G_1, G_2, mem.next)
+    mem.i_hat = i_1
+
+
+@kernel
+def show(cfg, mem, diag):
+    """The model's gradients at this sample, the natural one with what the observer adds."""
+    G_1, G_2 = model.forced_vectors(cfg, mem.u_dc, mem.turn_now)
+    back = mem.turn_now.conjugate()
+    natural = model.natural(cfg, mem.w_m, mem.i_dq) + scaled(cfg.T_s, mem.neso.z_2)
+    show_gradients(diag, natural, G_1 * back, G_2 * back)
+    show_nothing_learned(diag)
