@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from ament_index_python.packages import get_package_prefix
-
 from harness import Process
 
 # Domains above 101 collide with ephemeral ports on Linux; 0 is where a user's own drive runs.

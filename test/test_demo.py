@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -20,17 +21,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         capture_output=True,
         text=True,
         timeout=110,
-        env=_environment(),
+        env={**os.environ, "ROS_DOMAIN_ID": "101"},  # set before `domain` has chosen one
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert str(out / "report.html") in done.stdout
     return out
-
-
-def _environment() -> dict[str, str]:
-    import os
-
-    return {**os.environ, "ROS_DOMAIN_ID": "101"}
 
 
 @pytest.fixture(scope="module")

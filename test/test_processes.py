@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-
 from harness import Process, until
 from mfpcc_msgs.msg import DutyCommand, PhaseFeedback
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 
 CONTROLLER = ("mfpcc_controller", "controller", "--ros-args", "-p", "speed_ref_rpm:=500.0")
 PLANT = ("pmsm_sim", "pmsm_sim", "--ros-args", "-p", "load_torque:=1.0")

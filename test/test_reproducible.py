@@ -1,4 +1,4 @@
-"""The same run gives the same messages, byte for byte: twice, in either engine, in two processes."""
+"""The same run gives the same messages: twice, in either engine, in one process or two."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ def messages(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
     return found
 
 
-def recorded(folder: Path, engine: str, seed: int = 3, **options: bool) -> dict[str, list]:
+def recorded(
+    folder: Path, engine: str, seed: int = 3, **options: bool
+) -> dict[str, list[tuple[int, bytes]]]:
     run.run(scenario(), "mls_mfpcc", engine, folder, seed, lambda done: None, **options)
     return messages(folder / "mls_mfpcc")
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from mfpcc_msgs.msg import DriveReference, DriveStatus, DutyCommand, LutDiagnostics, PhaseFeedback
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter as RosParameter
@@ -18,7 +19,6 @@ from rclpy.timer import Timer
 
 from mfpcc_controller.drive import Controller, control
 from mfpcc_controller.parameters import TABLE
-from mfpcc_msgs.msg import DriveReference, DriveStatus, DutyCommand, LutDiagnostics, PhaseFeedback
 from pwm_node import compiled, spin
 from pwm_node.diagnostics import Part
 from pwm_node.node import PwmNode
@@ -187,7 +187,7 @@ class MfpccController(PwmNode):
 
     def parameters_changed(self, changes: Mapping[str, Any]) -> None:
         """Tell of a change of the scheme."""
-        if "scheme" in changes and self.period >= -1 and self.core is not None:
+        if "scheme" in changes:
             self._lut.set_string("scheme", self.core.scheme)
             self._tell_status()
 
@@ -195,7 +195,7 @@ class MfpccController(PwmNode):
 
     def diagnostics(self) -> Iterable[Part]:
         """State of the current control."""
-        if self.core is None:
+        if self.period < 0:
             return
         mem = self.core.mem[0]
         yield Part(

@@ -121,9 +121,7 @@ def record_separate(config: Mapping[str, Any], path: Path, periods: int, progres
 
     Parameters and errors are those of `record_composed`.
     """
-    plant_values, controller_values = (
-        {**values, "recorders": 1} for values in _values(config)
-    )
+    plant_values, controller_values = ({**values, "recorders": 1} for values in _values(config))
     with contextlib.ExitStack() as stack:
         context = stack.enter_context(_context())
         writer = stack.enter_context(
@@ -176,8 +174,7 @@ class _Watch:
         died = [
             name
             for name, process in self._processes.items()
-            if process.poll() is not None
-            and not (name == "pmsm_sim" and process.returncode == 0)
+            if process.poll() is not None and not (name == "pmsm_sim" and process.returncode == 0)
         ]
         if last["phase_feedback"] == self._periods - 1 and last["duty_command"] == self._periods:
             self._end("")

@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import mfpcc_msgs.msg
 import rclpy
 import rclpy.utilities
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-import mfpcc_msgs.msg
 from mfpcc_experiments.bag import LOOP_TOPICS, BagError, BagWriter
 from pwm_node import spin
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
 from numpy.typing import NDArray
 
 from mfpcc_controller.drive import Controller
@@ -16,7 +17,6 @@ from mfpcc_experiments.bag import BagWriter
 from mfpcc_experiments.engine import Engine, Trace, step_time
 from mfpcc_experiments.progress import Tell
 from mfpcc_experiments.scenario import Scenario
-from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
 from pmsm_sim import motor
 from pwm_node.wire import Wire
 
@@ -32,9 +32,7 @@ _DISTRIBUTIONS = (
 )
 
 
-def configuration(
-    scenario: Scenario, scheme: str, engine: str, seed: int
-) -> dict[str, Any]:
+def configuration(scenario: Scenario, scheme: str, engine: str, seed: int) -> dict[str, Any]:
     """All that a run can be repeated from: it is stored inside the recording."""
     plant, controller = scenario.node_parameters(scheme, seed)
     machine = motor.load(scenario.motor)

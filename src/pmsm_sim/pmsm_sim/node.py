@@ -12,12 +12,12 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from mfpcc_msgs.msg import DriveState, DriveStatus, DutyCommand, PhaseFeedback
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.timer import Timer
 
-from mfpcc_msgs.msg import DriveState, DriveStatus, DutyCommand, PhaseFeedback
 from pmsm_sim.parameters import TABLE
 from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
 from pwm_node import compiled, spin
@@ -82,9 +82,7 @@ class PmsmSim(PwmNode):
         tail = self._state.tail
         records = self._feedback.fixed, self._state.fixed
         latch(trial.st, self._command.fixed)
-        advance(
-            trial.par, trial.st, *records, tail["i_abc_oversampled"], tail["legs_oversampled"]
-        )
+        advance(trial.par, trial.st, *records, tail["i_abc_oversampled"], tail["legs_oversampled"])
 
     def activate(self) -> None:
         """Let the commands reach the gates; the first time, begin with period 0."""

@@ -108,7 +108,7 @@ class PwmNode(LifecycleNode):
         self.loop_publishers: list[LoopPublisher] = []
         self.loop_subscriptions: list[LoopSubscription] = []
         try:
-            self.values = self._declare(set(also_known))
+            self.values: dict[str, Any] = self._declare(set(also_known))
             self._schedule = self._read_schedule()
         except ValueError:
             self.destroy_node()

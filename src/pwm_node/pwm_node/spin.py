@@ -124,8 +124,10 @@ def _run(nodes: Sequence[Node], until: Future, stop: _Stop) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception as error:  # noqa: BLE001 (from any callback)
-        nodes[0].get_logger().error(describe(error))
-        return 1
+        if nodes[0].context.ok():
+            nodes[0].get_logger().error(describe(error))
+            return 1
+        # Somebody shut the context down while a callback was about to publish: a stop like others.
     finally:
         for node in executor.get_nodes():
             if isinstance(node, PwmNode):
