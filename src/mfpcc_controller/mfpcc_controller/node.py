@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.timer import Timer
 
-from mfpcc_controller.drive import Controller, control
+from mfpcc_controller.drive import Controller
 from mfpcc_controller.parameters import TABLE
 from pwm_node import compiled, spin
 from pwm_node.diagnostics import Part
@@ -45,12 +45,13 @@ class MfpccController(PwmNode):
     def __init__(self, **options: Any) -> None:
         super().__init__("mfpcc_controller", TABLE, **options)
         self._held: Timer | None = None
+        self._told_fallen = False
 
     # Life cycle -----------------------------------------------------------------------------
 
     def configure(self) -> None:
         """Make the controller and the topics."""
-        self.core = Controller(self.values)
+        self._begin_anew()
         self._feedback = Wire(PhaseFeedback)
         self._command = Wire(DutyCommand)
         self._lut = Wire(LutDiagnostics)
@@ -77,15 +78,22 @@ class MfpccController(PwmNode):
         """Compile the kernel, or load it, before a sample waits for it."""
         compiled.announce(self.get_logger().info)
         trial = Controller(self.values)
-        records = self._feedback.fixed, self._command.fixed, self._lut.fixed
-        control(trial.cfg, trial.mem, *records, True)
+        trial.step(self._feedback.fixed, self._command.fixed, self._lut.fixed, True)
+
+    def _begin_anew(self) -> None:
+        """Make a controller that has seen nothing yet."""
+        self.core = Controller(self.values)
+        self.core.enabled = self.active
+        self._fallen = self.core.mem["fallen"]
 
     def activate(self) -> None:
         """Enable the inverter from the next command on."""
+        self.core.enabled = True
         self._tell_status()
 
     def deactivate(self) -> None:
         """Block the gates, also if no further sample is answered."""
+        self.core.enabled = False
         if self.period >= 0:
             # what the plant waits for, should this process end now
             self._command.fixed["period"] += 1
@@ -117,11 +125,11 @@ class MfpccController(PwmNode):
         core = self.core
         tell = self._decimation > 0 and k % self._decimation == 0
         begin = time.perf_counter_ns()
-        control(core.cfg, core.mem, feedback.fixed, self._command.fixed, self._lut.fixed, tell)
+        core.step(feedback.fixed, self._command.fixed, self._lut.fixed, tell)
         self.step_times.add(time.perf_counter_ns() - begin)
         self.period = k
-        if not self.active:
-            self._command.fixed["enable"] = False
+        if self._fallen[0] != self._told_fallen:
+            self._tell_fallback()
         self._command_out.publish(self._command.to_bytes())
         if tell:
             self._lut_out.publish(self._lut.to_bytes())
@@ -136,7 +144,7 @@ class MfpccController(PwmNode):
             return False
         if k < self.period:
             self.get_logger().info(f"the plant began anew (period {self.period}, then {k})")
-            self.core = Controller(self.values)
+            self._begin_anew()
         elif self.period >= 0:
             self.lost_periods += k - self.period - 1
         return True
@@ -209,6 +217,18 @@ class MfpccController(PwmNode):
                 "electrical speed (rad/s)": float(mem["w_m"]),
             },
         )
+
+    def _tell_fallback(self) -> None:
+        """Say that the fallback scheme took over, or that its turn is over."""
+        self._told_fallen = self.core.fallen
+        self._lut.set_string("scheme", self.core.scheme)
+        if self.core.fallen:
+            self.get_logger().error(
+                f"scheme '{self.values['scheme']}' failed in period {self.period}: "
+                f"{self.core.complaint or 'its output is not finite'}; "
+                f"'{self.core.scheme}' took over"
+            )
+        self._tell_status()
 
     def _tell_status(self) -> None:
         """Publish `drive_status` if it has changed."""
