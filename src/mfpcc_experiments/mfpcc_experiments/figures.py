@@ -28,7 +28,8 @@ REFERENCE = "#000000"
 #: Electrical periods shown of the phase currents: in a steady state, and around a transient.
 STEADY_PERIODS, TRANSIENT_PERIODS = 2.0, 5.0
 
-_STYLE: Any = {
+#: What all figures are drawn with: `with mpl.rc_context(STYLE)`.
+STYLE: Any = {
     "font.size": 8.0,
     "axes.titlesize": 9.0,
     "axes.labelsize": 8.0,
@@ -80,7 +81,7 @@ def draw(runs: Sequence[Measured], folder: Path) -> dict[str, Path]:
         "spectrum": spectrum,
         "speed_torque": speed_torque,
     }
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         for name, painter in painters.items():
             figure = painter(runs)
             if figure is not None:
@@ -89,11 +90,30 @@ def draw(runs: Sequence[Measured], folder: Path) -> dict[str, Path]:
     return drawn
 
 
-def _panels(
-    runs: Sequence[Measured], rows: Sequence[str], height: float, x_label: str
+def panels(
+    titles: Sequence[str], rows: Sequence[str], height: float, x_label: str
 ) -> tuple[Figure, list[list[Axes]]]:
-    """One column per run, one row per quantity; scales are shared within a row."""
-    n = len(runs)
+    """
+    One column per title, one row per quantity; scales are shared within a row.
+
+    Parameters
+    ----------
+    titles : sequence of str
+        What stands above the columns.
+    rows : sequence of str
+        Quantities, with their units.
+    height : float
+        Height of a row (inches).
+    x_label : str
+        What stands below the columns.
+
+    Returns
+    -------
+    figure : Figure
+    axes : list of list of Axes
+        By row and column.
+    """
+    n = len(titles)
     width = max(3.5, 0.45 + 2.25 * n)
     layout = ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, wspace=0.06)
     figure = Figure(figsize=(width, 0.75 + height * len(rows)), layout=layout)
@@ -102,18 +122,22 @@ def _panels(
         axes[row][0].set_ylabel(label)
         axes[row][0].yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
     figure.align_ylabels()
-    for column, run in enumerate(runs):
-        axes[0][column].set_title(_wrapped(run.label))
+    for column, title in enumerate(titles):
+        axes[0][column].set_title(_wrapped(title))
         axes[-1][column].set_xlabel(x_label)
         axes[-1][column].xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     return figure, [list(line) for line in axes]
+
+
+def _titles(runs: Sequence[Measured]) -> list[str]:
+    return [run.label for run in runs]
 
 
 def _wrapped(label: str) -> str:
     return label.replace(", ", "\n", 1) if len(label) > 26 else label
 
 
-def _note(axis: Axes, text: str) -> None:
+def note(axis: Axes, text: str) -> None:
     """A figure of merit in the upper right corner, above the data."""
     axis.text(
         0.99,
@@ -128,7 +152,7 @@ def _note(axis: Axes, text: str) -> None:
     )
 
 
-def _limits(axes: Sequence[Axes], values: Sequence[Any], *, top: float = 0.2) -> None:
+def limits(axes: Sequence[Axes], values: Sequence[Any], *, top: float = 0.2) -> None:
     """The same y limits for all, around all values, with room for a note at the top."""
     low = min(float(np.nanmin(v)) for v in values)
     high = max(float(np.nanmax(v)) for v in values)
@@ -137,7 +161,7 @@ def _limits(axes: Sequence[Axes], values: Sequence[Any], *, top: float = 0.2) ->
         axis.set_ylim(low - 0.06 * span, high + top * span)
 
 
-def _format(value: float | None, unit: str) -> str:
+def format_value(value: float | None, unit: str) -> str:
     """Three significant digits with a unit."""
     if value is None:
         return "–"
@@ -147,7 +171,7 @@ def _format(value: float | None, unit: str) -> str:
 
 def phase_currents(runs: Sequence[Measured]) -> Figure:
     """The three phase currents: two electrical periods and the THD, or five around a transient."""
-    figure, ((*axes,),) = _panels(runs, ["Phase current (A)"], 1.75, "Time (ms)")
+    figure, ((*axes,),) = panels(_titles(runs), ["Phase current (A)"], 1.75, "Time (ms)")
     shown = []
     for axis, run in zip(axes, runs, strict=True):
         w = run.window
@@ -166,8 +190,8 @@ def phase_currents(runs: Sequence[Measured]) -> Figure:
         axis.set_xlim(0.0, 1e3 * span)
         shown.append(i_abc[rows])
         thd = run.row["thd_percent"]["oversampled" if fine else "control"]
-        _note(axis, f"THD {_format(thd, '%')}" if steady else f"from {begin:.3f} s")
-    _limits(axes, shown)
+        note(axis, f"THD {format_value(thd, '%')}" if steady else f"from {begin:.3f} s")
+    limits(axes, shown)
     figure.legend(
         *axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3, columnspacing=1.2
     )
@@ -184,7 +208,7 @@ def _transient(w: metrics.Window) -> float:
 
 def i_dq(runs: Sequence[Measured]) -> Figure:
     """i_d and i_q with their references over the window, and their ripple."""
-    figure, axes = _panels(runs, ["$i_d$ (A)", "$i_q$ (A)"], 1.35, "Time (s)")
+    figure, axes = panels(_titles(runs), ["$i_d$ (A)", "$i_q$ (A)"], 1.35, "Time (s)")
     for row, axis_name in enumerate("dq"):
         shown = []
         for axis, run in zip(axes[row], runs, strict=True):
@@ -197,8 +221,8 @@ def i_dq(runs: Sequence[Measured]) -> Figure:
                 axis.plot(w.lut_time, ref, color=REFERENCE, lw=0.9, ls="--", label="reference")
                 shown.append(ref)
             axis.set_xlim(w.begin, w.end)
-            _note(axis, f"peak to peak {_format(run.row['ripple_pp'][axis_name], 'A')}")
-        _limits(axes[row], shown, top=0.25)
+            note(axis, f"peak to peak {format_value(run.row['ripple_pp'][axis_name], 'A')}")
+        limits(axes[row], shown, top=0.25)
     figure.legend(
         *_handles(axes[0][0], axes[1][0]),
         loc="outside upper right",
@@ -222,19 +246,19 @@ def lut_error(runs: Sequence[Measured]) -> Figure | None:
     """Difference of measured and predicted current over the window."""
     if all(run.window.error is None for run in runs):
         return None
-    figure, axes = _panels(runs, ["LUT error, d (A)", "LUT error, q (A)"], 1.3, "Time (s)")
+    figure, axes = panels(_titles(runs), ["LUT error, d (A)", "LUT error, q (A)"], 1.3, "Time (s)")
     for row, axis_name in enumerate("dq"):
         shown = [np.zeros(1)]
         for axis, run in zip(axes[row], runs, strict=True):
             w = run.window
             axis.set_xlim(w.begin, w.end)
             if w.error is None:
-                _note(axis, "not recorded")
+                note(axis, "not recorded")
                 continue
             axis.plot(w.lut_time, w.error[:, row], color=COLOURS[row], lw=0.5)
             shown.append(w.error[:, row])
-            _note(axis, f"max {_format(run.row['lut_error_max'][axis_name], 'A')}")
-        _limits(axes[row], shown, top=0.25)
+            note(axis, f"max {format_value(run.row['lut_error_max'][axis_name], 'A')}")
+        limits(axes[row], shown, top=0.25)
     return figure
 
 
@@ -254,8 +278,8 @@ def spectrum(runs: Sequence[Measured]) -> Figure | None:
             parts.append((metrics.spectrum(part, rate), rate, part.thd))
     if not any(parts):
         return None
-    figure, ((*axes,),) = _panels(
-        runs, ["Amplitude of $i_a$\n(% of the fundamental)"], 1.85, "Frequency (kHz)"
+    figure, ((*axes,),) = panels(
+        _titles(runs), ["Amplitude of $i_a$\n(% of the fundamental)"], 1.85, "Frequency (kHz)"
     )
     floor = 1e-2  # %
     for axis, entry in zip(axes, parts, strict=True):
@@ -263,7 +287,7 @@ def spectrum(runs: Sequence[Measured]) -> Figure | None:
         axis.set_ylim(floor, 300.0)
         axis.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
         if entry is None:
-            _note(axis, "no steady electrical period")
+            note(axis, "no steady electrical period")
             continue
         (frequency, amplitude), rate, thd = entry
         # Up to the second harmonic of the switching frequency; what lies above is in the THD too.
@@ -275,7 +299,7 @@ def spectrum(runs: Sequence[Measured]) -> Figure | None:
         y[:, 0], y[:, 1] = floor, np.maximum(100.0 * amplitude[rows], floor)
         axis.plot(x, y.ravel(), color=COLOURS[0], lw=0.6)
         axis.set_xlim(-0.02 * highest * 1e-3, highest * 1e-3)  # the fundamental stands free
-        _note(axis, f"THD {_format(100.0 * thd, '%')}\nsampled at {rate * 1e-3:g} kHz")
+        note(axis, f"THD {format_value(100.0 * thd, '%')}\nsampled at {rate * 1e-3:g} kHz")
     return figure
 
 
@@ -284,7 +308,7 @@ def speed_torque(runs: Sequence[Measured]) -> Figure | None:
     names = ("speed", "torque")
     if not any(name in run.signals for run in runs for name in names):
         return None
-    figure, axes = _panels(runs, ["Speed (r/min)", "Torque (N m)"], 1.3, "Time (s)")
+    figure, axes = panels(_titles(runs), ["Speed (r/min)", "Torque (N m)"], 1.3, "Time (s)")
     entries: dict[str, Any] = {}
     for row, (name, other, text) in enumerate(
         (("speed", "speed_ref", "reference"), ("torque", "load_torque", "load"))
@@ -304,7 +328,7 @@ def speed_torque(runs: Sequence[Measured]) -> Figure | None:
                 axis.set_xlim(time[0], time[-1])
         shown = [v for v in shown if np.isfinite(v).any()]
         if shown:
-            _limits(axes[row], shown, top=0.08)
+            limits(axes[row], shown, top=0.08)
             _at_least(axes[row], 10.0 if name == "speed" else 0.5)
     figure.legend(
         list(entries.values()), list(entries), loc="outside upper right", ncols=4, columnspacing=1.2
