@@ -56,8 +56,10 @@ from pwm_node.compiled import kernel
 # Keeps the fit defined for a vector that was hardly applied; far below any dwell that matters.
 _EPS = 1e-6
 
-# Mean square voltage deviation (V^2) below which nothing is learned from it.
-_U_VAR_MIN = 1e-2
+# Mean square voltage deviation below which little is learned from it, over the square of u_dc.
+# Without noise the voltage hardly moves, and what then moves with it (a change of speed) is not
+# its answer: the map drifted away there, until the current burst out and taught it again.
+_V_SQ_MIN = 1e-4
 
 # Square of an error (A^2) that no drive can make; written so that NaN is above it too.
 _ABSURD = 1e8
@@ -153,7 +155,8 @@ def _learn(cfg, mem):
     mean = lut.u_mean
     v = lut.u_dq - mean
     v_sq = square(v)
-    k = scaled(cfg.mls_mu / (_U_VAR_MIN + lut.u_var + v_sq), v)
+    floor = _V_SQ_MIN * mem.u_dc * mem.u_dc
+    k = scaled(cfg.mls_mu / (floor + lut.u_var + v_sq), v)
     lut.u_var += cfg.mls_gamma * (v_sq - lut.u_var)
     lut.u_mean = mean + scaled(cfg.mls_gamma, v)
     e = scaled(small, e)
