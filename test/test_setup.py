@@ -21,8 +21,9 @@ OURS = (*PYTHON_PACKAGES, "mfpcc_msgs", "mfpcc_config")
 FROM_ROS = get_packages_with_prefixes().keys()
 # rosdep knows no key for these; they come from requirements/run.txt alone.
 WITHOUT_KEY = ("lz4", "mcap", "rosbags", "zstandard")
-# The package of configuration files is used by name, and imported by nobody.
-USED_BY_NAME = {"pwm_node": {"mfpcc_config"}}
+# The package of configuration files is used by name, and imported by nobody; what launch files
+# import, they import where they are launched.
+USED_BY_NAME = {"pwm_node": {"mfpcc_config"}, "mfpcc_experiments": {"launch", "launch_ros"}}
 
 EXECUTABLES = [
     ("pmsm_sim", "pmsm_sim"),

@@ -12,6 +12,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),
+        (f"share/{package}/launch", ["launch/drive.launch.py", "launch/two_axes.launch.py"]),
         ("bin", ["bin/mfpcc"]),  # on PATH, unlike what is in lib/
     ],
     zip_safe=False,
