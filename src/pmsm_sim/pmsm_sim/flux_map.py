@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,7 @@ _TOLERANCE = 0.01
 # Points per cell along each axis at which invertibility is checked.
 _CHECKS_PER_CELL = 4
 # Weight of the spline's roughness against the data: fixes what the data leave open.
-_SMOOTHING = 1e-5
+_SMOOTHING = 1e-4
 
 
 class FluxMapFile(BaseModel):
@@ -57,7 +59,7 @@ class FluxMapFile(BaseModel):
     @field_validator("i_d", "i_q")
     @classmethod
     def _increasing(cls, grid: list[float]) -> list[float]:
-        if not all(a < b for a, b in zip(grid, grid[1:])) or not all(map(math.isfinite, grid)):
+        if not all(a < b for a, b in pairwise(grid)) or not all(map(math.isfinite, grid)):
             raise ValueError("the currents must be finite and increase from one to the next")
         return grid
 
@@ -103,9 +105,12 @@ class FluxMap:
         _, _, _, L_dd, L_dq, L_qq = co_energy(self.par[0], i_d, i_q)
         return L_dd, L_dq, L_qq
 
-    def current(self, psi_d: float, psi_q: float) -> tuple[float, float]:
-        """The inverse map: current (i_d, i_q) (A) of a flux linkage, by damped Newton steps."""
-        i = np.zeros(2)
+    def current(self, psi_d: float, psi_q: float, *, start: complex = 0j) -> tuple[float, float]:
+        """The inverse map: current (i_d, i_q) (A) of a flux linkage, by damped Newton steps.
+
+        `start`, i_d + 1j i_q, makes it faster where the answer is nearly known.
+        """
+        i = np.array([start.real, start.imag])
         target = np.array([psi_d, psi_q])
 
         def error(i: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -137,6 +142,12 @@ def load(name_or_path: str) -> FluxMap:
         If there is none, or it cannot be used; the text says what is wrong, and where.
     """
     path = yaml_files.find("flux_maps", name_or_path)
+    return _load(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=8)
+def _load(path: Path, _: int) -> FluxMap:
+    """Read and fit the file as it is now; many runs of a sweep share one map."""
     return fit(yaml_files.load(path, FluxMapFile), path)
 
 
@@ -149,7 +160,7 @@ def fit(file: FluxMapFile, path: Path | str = "flux map") -> FluxMap:
 
     par = np.zeros(1, PLANT_PAR)
     cells = [min(len(grid) - 1, MAP_CELLS) for grid in (i_d, i_q)]
-    rate = [n / (grid[-1] - grid[0]) for n, grid in zip(cells, (i_d, i_q))]
+    rate = [n / (grid[-1] - grid[0]) for n, grid in zip(cells, (i_d, i_q), strict=True)]
     par["map_start"], par["map_rate"], par["map_cells"] = (i_d[0], i_q[0]), rate, cells
     B_d, D_d = _collocation(par, 0, i_d)
     B_q, D_q = _collocation(par, 1, i_q)

@@ -23,7 +23,7 @@ from pwm_node.compiled import kernel
 MAX_STEP_ANGLE = 0.06
 
 # Up to these lengths of a step (in periods) order 3 and 4 are enough; beyond, it is 5.
-_ORDER_3 = 0.06
+_ORDER_3 = 0.04
 _ORDER_4 = 0.2
 
 _SQRT3_2 = 0.5 * math.sqrt(3.0)

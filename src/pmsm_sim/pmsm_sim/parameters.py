@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import cast
 
 from pmsm_sim.records import PROFILE_SIZE
@@ -51,7 +52,7 @@ def _check_profile(points: list[float]) -> str | None:
             f"them; it has {len(points)} values"
         )
     times = points[::2]
-    if any(a >= b for a, b in zip(times, times[1:])):
+    if any(a >= b for a, b in pairwise(times)):
         return f"'load.profile': the times must increase from point to point, not {times}"
     return None
 
@@ -195,8 +196,8 @@ TABLE = Table(
         Parameter(
             "dc_link.kind",
             "stiff",
-            "What feeds the inverter: dc_voltage without any resistance, or a three-phase rectifier "
-            "with a capacitor, which begins at dc_voltage",
+            "What feeds the inverter: dc_voltage without any resistance, or a three-phase "
+            "rectifier with a capacitor, which begins at dc_voltage",
             choices=("stiff", "rectifier"),
             read_only=True,
         ),
@@ -430,7 +431,7 @@ TABLE = Table(
         Parameter(
             "drift.temperature",
             20.0,
-            "Temperature of winding and magnets without copper loss; the motor file holds at 20 degC",
+            "Temperature of winding and magnets without copper loss; the motor file holds at 20",
             unit="degC",
             minimum=-60.0,
             maximum=250.0,

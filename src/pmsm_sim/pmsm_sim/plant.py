@@ -248,7 +248,7 @@ class Plant:
             Counted by the general model only: valid if it has run from the start.
         """
         par, st = self.par[0], self.st[0]
-        flowed = dict(zip(INTEGRATED[FIRST_ENERGY:], map(float, st["energy"])))
+        flowed = dict(zip(INTEGRATED[FIRST_ENERGY:], map(float, st["energy"]), strict=True))
         i_d, i_q = float(st["i_d"]), float(st["i_q"])
         if par["saturates"]:
             W, psi_d, psi_q, _, _, _ = co_energy(par, i_d, i_q)
@@ -328,7 +328,7 @@ def _set_machine(
     par["R_20"] = pars.R_s * values["drift.resistance"]
     par["psi_20"] = par["psi_map"] * values["drift.flux"]
     ratios = [values[f"machine.emf_{n}"] for n in (5, 7, 11, 13)]
-    par["psi_h"] = [r * par["psi_20"] / n for r, n in zip(ratios, (5, 7, 11, 13))]
+    par["psi_h"] = [r * par["psi_20"] / n for r, n in zip(ratios, (5, 7, 11, 13), strict=True)]
     par["harmonics"] = any(ratios)
     R_iron = values["machine.iron_loss_resistance"]
     par["iron_conductance"] = 1.0 / R_iron if R_iron > 0.0 else 0.0
@@ -422,7 +422,9 @@ def _set_model(par: np.void) -> None:
         rates.append(math.sqrt(par["shaft_stiffness"] * slowness))
         rates.append(par["shaft_damping"] * slowness)
         rates.append(_brake_torque(par) / STANDSTILL / par["J_load"])
-    par["h_general"] = min(0.25 * par["T_s"], _STEP_PER_TIME_CONSTANT / max(rates))
+    # the derivatives of a flux map's spline jump from cell to cell
+    longest = 0.03 if par["saturates"] else 0.125
+    par["h_general"] = min(longest * par["T_s"], _STEP_PER_TIME_CONSTANT / max(rates))
 
 
 _DROPS = ("voltage", "resistance")
