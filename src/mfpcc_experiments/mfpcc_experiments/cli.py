@@ -29,6 +29,7 @@ _FOR_PEOPLE = {
     "mfpcc_experiments.bag.BagError",
     "mfpcc_experiments.drive.DriveError",
     "mfpcc_experiments.metrics.MetricsError",
+    "mfpcc_experiments.replay.ReplayError",
     "mfpcc_experiments.result_folder.ResultFolderError",
     "pwm_node.parameters.ParameterError",
     "pwm_node.schedule.ScheduleError",

@@ -1,0 +1,163 @@
+"""`mfpcc replay`: the samples of a recording, fed to a scheme again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pwm_node.parameters import ParameterError, Table
+
+if TYPE_CHECKING:
+    from mfpcc_experiments.replay import Replay, Samples
+
+
+@click.command(short_help="Feed a recording's samples to a scheme, open loop.")
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option(
+    "--scheme",
+    "schemes",
+    multiple=True,
+    metavar="NAME",
+    help="Scheme to ask; may be given several times.  [default: all there are]",
+)
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Another value for a parameter of the controller, such as mls.window=10.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/replay"),
+    show_default=True,
+    help="Folder for the results.",
+)
+@click.option("--force", is_flag=True, help="Replace results that are there already.")
+def command(
+    bag: Path, schemes: tuple[str, ...], changes: tuple[str, ...], out: Path, force: bool
+) -> None:
+    """Feed the recorded samples of BAG to schemes: what would they have predicted and commanded?
+
+    The recording's own scheme must give its own commands again; that is checked first. A folder
+    then holds metrics.json and the figure. Open loop: what a scheme commands here does not act, so
+    there is no ripple and no THD to be told; for those, run the experiment.
+    """
+    from mfpcc_controller.parameters import SCHEMES, TABLE
+    from mfpcc_experiments import recording, replay, replay_figure
+    from mfpcc_experiments.compare import write_whole
+    from mfpcc_experiments.progress import progress_bar
+    from mfpcc_experiments.result_folder import result_folder
+    from pwm_node import compiled
+
+    schemes = tuple(dict.fromkeys(schemes)) or SCHEMES
+    try:
+        for scheme in schemes:
+            TABLE["scheme"].validate(scheme)
+        values = dict(_change(TABLE, text) for text in changes)
+    except ParameterError as wrong:
+        raise click.UsageError(wrong.reason, click.get_current_context()) from None
+
+    with result_folder(out, force=force) as folder:
+        with progress_bar() as begin:
+            read = recording.read(bag, progress=begin("read", 1.0))
+            compiled.announce()  # above the bar, which stands still meanwhile
+            verdict, error = _verify(replay.Samples(read, _motor(values)), begin("verify", 1.0))
+            samples = replay.Samples(read, values)
+            results = [replay.replay(samples, s, begin(s, 1.0)) for s in schemes]
+        rows = [replay.summary(samples, result) for result in results]
+        replay_figure.draw(samples, results, rows, folder / "replay.png")
+        write_whole(folder / "metrics.json", json.dumps(rows, indent=2) + "\n")
+    _print(samples, results, rows)
+    click.echo(verdict)
+    for problem in read.problems:
+        click.echo(f"note: {problem}")
+    click.echo(f"figure: {out / 'replay.png'}")
+    if error is not None:
+        raise error
+
+
+def _change(table: Table, text: str) -> tuple[str, Any]:
+    """NAME=VALUE as a name and a value in its parameter's type."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise ParameterError(f"'--set {text}': NAME=VALUE is expected")
+    if name == "scheme":
+        raise ParameterError("the scheme is chosen by --scheme")
+    return name, table[name].parse(value)
+
+
+def _motor(values: dict[str, Any]) -> dict[str, Any]:
+    """Of the changes, what a recording without a configuration needs to be read at all."""
+    return {name: value for name, value in values.items() if name == "motor"}
+
+
+def _verify(samples: Samples, progress: Callable[[float], None]) -> tuple[str, Exception | None]:
+    """Ask the recording's own scheme; returns what to say of it, and the error where it fails."""
+    from mfpcc_experiments import replay
+
+    reason = samples.why_not_verifiable
+    if reason:
+        progress(1.0)
+        return f"not checked whether it is reproduced: {reason}", None
+    own = replay.verify(samples, progress)
+    try:
+        replay.require_same(samples, own)
+    except replay.ReplayError as error:
+        return "it is not reproduced", error
+    count = int(samples.answered.sum())
+    return f"reproduced: {samples.scheme} gives its {count} recorded commands again, exactly", None
+
+
+def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) -> None:
+    """The table: one line per scheme, and what was recorded above them."""
+    from rich.console import Console
+    from rich.table import Table as Grid
+
+    from mfpcc_experiments import replay
+
+    def number(value: float | None, digits: int = 3) -> str:
+        return "–" if value is None else f"{value:.{digits}f}"
+
+    table = Grid(box=None, pad_edge=False, header_style="bold")
+    table.add_column("", no_wrap=True)
+    for title in (
+        "LUT (A)\nd max",
+        "\nq max",
+        "\nd rms",
+        "\nq rms",
+        "duties\nmax",
+        "volt. (V)\nrms",
+        "same\n(%)",
+        "first\nother",
+    ):
+        table.add_column(title, justify="right")
+
+    def errors(row: dict[str, Any]) -> list[str]:
+        return [number(row[f"lut_error_{k}"][a]) for k in ("max", "rms") for a in "dq"]
+
+    recorded = replay.recorded(samples)
+    if recorded is not None:
+        table.add_row(f"recorded ({samples.recording.scheme_name})", *errors(recorded))
+    for row in rows:
+        first = row["first_difference"]
+        table.add_row(
+            row["scheme"],
+            *errors(row),
+            number(row["duty_difference_max"]),
+            number(row["voltage_difference_rms"], 2),
+            number(row["same_commands_percent"], 1),
+            "–" if first is None else str(first),
+        )
+    begin, end = rows[0]["window_s"]
+    Console(highlight=False).print(table)
+    click.echo(
+        f"evaluated from {begin:g} to {end:g} s. Against the recorded commands: largest difference "
+        "of the duties, of the mean voltage, equal commands, and the first period with another one "
+        "(of the whole recording)."
+    )
