@@ -1,0 +1,139 @@
+"""`mfpcc motor`: from a data sheet to a motor file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+def _quantity(kind: str) -> Any:
+    """Callback that reads a number with its unit."""
+
+    def read(ctx: click.Context, parameter: click.Parameter, text: str | None) -> float | None:
+        from mfpcc_experiments import datasheet
+
+        if text is None or ctx.resilient_parsing:
+            return None
+        try:
+            return datasheet.quantity(kind, text)
+        except datasheet.SheetError as error:
+            raise click.BadParameter(str(error), ctx, parameter) from None
+
+    return read
+
+
+@click.command(short_help="From a data sheet to a motor file.")
+@click.option("--name", required=True, help="Name of the motor, and of its file.")
+@click.option("--poles", type=int, required=True, help="Number of poles (twice the pole pairs).")
+@click.option(
+    "-R", "--resistance", required=True, callback=_quantity("resistance"), help="As '1.2 ohm'."
+)
+@click.option(
+    "-L", "--inductance", required=True, callback=_quantity("inductance"), help="As '0.56 mH'."
+)
+@click.option(
+    "--inductance-q",
+    callback=_quantity("inductance"),
+    help="Of the q axis, if the sheet gives both; -L is of the d axis then.",
+)
+@click.option(
+    "--per-phase", is_flag=True, help="R and L are per phase; without it, between two terminals."
+)
+@click.option("--kt", callback=_quantity("kt"), help="Torque constant, as '25.5 mNm/A'.")
+@click.option(
+    "--kt-current",
+    default="rms",
+    show_default=True,
+    help="How the sheet counts current: rms, peak, or dc (block commutation: maxon, Faulhaber).",
+)
+@click.option("--ke", callback=_quantity("ke"), help="Voltage constant, as '51 V/krpm'.")
+@click.option(
+    "--ke-voltage",
+    default="ll-rms",
+    show_default=True,
+    help="How it counts voltage: ll-rms, ll-peak, phase-rms, phase-peak.",
+)
+@click.option("--kv", callback=_quantity("kv"), help="Speed constant, as '374 rpm/V'.")
+@click.option(
+    "-J", "--inertia", required=True, callback=_quantity("inertia"), help="As '92.5 gcm2'."
+)
+@click.option("--torque", callback=_quantity("torque"), help="Rated torque, as '55.5 mNm'.")
+@click.option("--current", callback=_quantity("current"), help="Rated current, as '2.03 A'.")
+@click.option("--speed", callback=_quantity("speed"), help="Rated speed, as '2940 rpm'.")
+@click.option("--no-load-speed", callback=_quantity("speed"), help="At --voltage, as '4380 rpm'.")
+@click.option(
+    "--voltage", required=True, callback=_quantity("voltage"), help="DC-link voltage, as '12 V'."
+)
+@click.option("--description", default="", help="One line for `mfpcc list`.")
+@click.option("--source", default="", help="Where the values come from.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Motor file to write (.yaml).")
+@click.option("--force", is_flag=True, help="Overwrite the file.")
+def command(
+    name: str,
+    description: str,
+    source: str,
+    out: Path | None,
+    force: bool,
+    **values: Any,
+) -> None:
+    """From what a data sheet gives to the parameters used here, with the conversion shown.
+
+    A number takes its unit with it: -R '1.2 ohm' -L 0.56mH. A sheet that contradicts itself is
+    told so; then the first of kE, kT, kV counts, and the exit code is 1.
+
+    \b
+    mfpcc motor --name ec45_30w --poles 16 -R 1.2ohm -L 0.56mH --kt 25.5mNm/A --kt-current dc \\
+        --kv 374rpm/V -J 92.5gcm2 --torque 55.5mNm --current 2.03A --speed 2940rpm --voltage 12V
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from mfpcc_experiments import datasheet
+
+    try:
+        motor = datasheet.convert(datasheet.Sheet(**values))
+    except datasheet.SheetError as error:
+        raise click.UsageError(str(error)) from None
+
+    table = Table(title=name)
+    for heading in ("parameter", "from the sheet", "value"):
+        table.add_column(heading)
+    for step in motor.steps:
+        table.add_row(*step)
+    Console().print(table)
+
+    text = datasheet.yaml_text(
+        motor,
+        name,
+        description or f"{name}, from its data sheet",
+        source or "Data sheet, entered by hand",
+    )
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        _write(out, text, force)
+        click.echo(f"written: {out}")
+    if motor.contradictions:
+        for sentence in motor.contradictions:
+            click.echo(f"mfpcc: the sheet contradicts itself: {sentence}", err=True)
+        click.get_current_context().exit(1)
+
+
+def _write(path: Path, text: str, force: bool) -> None:
+    """Write the file whole or not at all."""
+    import os
+    import tempfile
+
+    if path.exists() and not force:
+        raise click.ClickException(f"{path}: there is such a file already; --force overwrites it")
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        Path(temporary).chmod(0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
