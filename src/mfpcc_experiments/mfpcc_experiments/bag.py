@@ -740,8 +740,11 @@ class BagWriter:
     def _next_chunk(self, log_time_ns: int) -> None:
         """Begin a chunk that covers `log_time_ns`."""
         self._hand_over()
-        self._begin = log_time_ns // CHUNK_NS * CHUNK_NS
-        self._end = self._begin + CHUNK_NS
+        begin = log_time_ns // CHUNK_NS * CHUNK_NS
+        self._end = begin + CHUNK_NS
+        # Topics are not quite in step: what comes a little late stays in this chunk, rather than
+        # that each such message opens one of its own.
+        self._begin = begin - CHUNK_NS
 
     def _hand_over(self) -> None:
         """Give the open chunk to the writing thread; wait while that is two chunks behind."""

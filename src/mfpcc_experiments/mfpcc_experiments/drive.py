@@ -39,6 +39,7 @@ from pwm_node.node import PwmNode
 _PROGRESS_EVERY = 0.1  # s
 _DISCOVERY = 0.3  # s: nodes on this machine are seen within a few hundredths
 _STALLED_AFTER = 20.0  # s
+_START_WITHIN = 300.0  # s
 _STOP_WITHIN = 10.0  # s
 
 
@@ -117,33 +118,45 @@ def main() -> int:
 
 
 def record_separate(config: Mapping[str, Any], path: Path, periods: int, progress: Tell) -> None:
-    """Start plant and controller as processes of their own, and record from the graph.
+    """Run the plant in this process and the controller in one of its own, and record both.
+
+    What the plant publishes is recorded in line, what the controller publishes as it arrives here.
+    A recorder in a third process would get each of the four messages on its own, which takes the
+    two that work about as much time again.
 
     Parameters and errors are those of `record_composed`.
     """
-    plant_values, controller_values = ({**values, "recorders": 1} for values in _values(config))
+    plant_values, controller_values = _values(config)
+    controller_values["recorders"] = 1
     with contextlib.ExitStack() as stack:
         context = stack.enter_context(_context())
+        plant = PmsmSim(context=context, parameter_overrides=_overrides(plant_values))
+        stack.callback(plant.destroy_node)
+        _refuse_company(plant)
         writer = stack.enter_context(
             BagWriter(path, config=config, oversampling=plant_values["oversampling"])
         )
-        recorder = Recorder(writer, context=context)
+        plant.tap = lambda topic: sink(writer, topic)
+        recorder = Recorder(writer, topics=("duty_command", "lut_diagnostics"), context=context)
         stack.callback(recorder.destroy_node)
-        _refuse_company(recorder)
-        begin = time.monotonic()
         controller = stack.enter_context(
             _process("mfpcc_controller", "controller", controller_values)
         )
-        plant = stack.enter_context(_process("pmsm_sim", "pmsm_sim", plant_values))
-        watch = _Watch(recorder, {"pmsm_sim": plant, "mfpcc_controller": controller}, periods)
-        recorder.create_timer(
+        watch = _Watch(plant, controller)
+        plant.create_timer(
             _PROGRESS_EVERY,
             lambda: progress(watch.look()),
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
-        code = spin.run([recorder], until=watch.over)
-        writer.close({"gaps": recorder.gaps, "wall_s": time.monotonic() - begin})
-    done = recorder.last_period["phase_feedback"] + 1
+        begin = time.monotonic()
+        code = spin.run([plant, recorder], until=watch.over)
+        wall = time.monotonic() - begin
+        done = max(plant.period, 0)
+        if done == periods:
+            _take_the_rest(recorder, periods, controller_values["diagnostics_decimation"])
+        writer.close(
+            {"gaps": recorder.gaps, "missed_periods": plant.missed_periods, "wall_s": wall}
+        )
     _judge(done, periods, "after an error (see above)" if code else watch.trouble)
     lost = {topic: count for topic, count in recorder.gaps.items() if count}
     if lost:
@@ -151,39 +164,45 @@ def record_separate(config: Mapping[str, Any], path: Path, periods: int, progres
     progress(periods)
 
 
-class _Watch:
-    """Looks whether a run in several processes is over, and why."""
+def _take_the_rest(recorder: Recorder, periods: int, decimation: int) -> None:
+    """Wait for what the controller published last: it comes after the command that ends the run."""
+    last = {"duty_command": periods}
+    if decimation:
+        last["lut_diagnostics"] = (periods - 1) // decimation * decimation
+    deadline = time.monotonic() + _STOP_WITHIN
+    while True:
+        recorder.take_all()
+        missing = [topic for topic, end in last.items() if recorder.last_period[topic] < end]
+        if not missing:
+            return
+        if time.monotonic() > deadline:
+            raise DriveError(f"the end of {missing[0]} did not arrive in {_STOP_WITHIN:.0f} s")
+        time.sleep(0.001)
 
-    def __init__(
-        self, recorder: Recorder, processes: Mapping[str, subprocess.Popen[bytes]], periods: int
-    ) -> None:
+
+class _Watch:
+    """Looks whether a run with the controller in a process of its own goes on."""
+
+    def __init__(self, plant: PmsmSim, controller: subprocess.Popen[bytes]) -> None:
         self.over = Future()
         self.trouble = ""
-        self._recorder = recorder
-        self._processes = processes
-        self._periods = periods
-        self._seen = -1
+        self._plant = plant
+        self._controller = controller
+        self._seen = plant.period
         self._seen_at = time.monotonic()
 
     def look(self) -> int:
-        """Return the number of periods recorded; complete `over` where the run is."""
-        last = self._recorder.last_period
+        """Return the number of periods done; complete `over` where the run does not go on."""
         now = time.monotonic()
-        if last["phase_feedback"] != self._seen:
-            self._seen, self._seen_at = last["phase_feedback"], now
-        died = [
-            name
-            for name, process in self._processes.items()
-            if process.poll() is not None and not (name == "pmsm_sim" and process.returncode == 0)
-        ]
-        if last["phase_feedback"] == self._periods - 1 and last["duty_command"] == self._periods:
-            self._end("")
-        elif died:
-            self._end(
-                f"{died[0]} ended with exit code {self._processes[died[0]].returncode} (see above)"
-            )
-        elif now - self._seen_at > _STALLED_AFTER:
-            self._end(f"nothing came on phase_feedback for {_STALLED_AFTER:.0f} s")
+        if self._plant.period != self._seen:
+            self._seen, self._seen_at = self._plant.period, now
+        # Before the first sample kernels may have to be compiled.
+        patience = _STALLED_AFTER if self._seen >= 0 else _START_WITHIN
+        code = self._controller.poll()
+        if code is not None:
+            self._end(f"mfpcc_controller ended with exit code {code} (see above)")
+        elif now - self._seen_at > patience:
+            self._end(f"nothing came on duty_command for {patience:.0f} s")
         return max(self._seen, 0)
 
     def _end(self, trouble: str) -> None:

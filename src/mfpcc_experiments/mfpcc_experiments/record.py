@@ -5,21 +5,28 @@ from __future__ import annotations
 import argparse
 import struct
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import mfpcc_msgs.msg
 import rclpy
 import rclpy.utilities
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 
 from mfpcc_experiments.bag import LOOP_TOPICS, BagError, BagWriter
 from pwm_node import spin
 
 # Keep all and reliable: a recorder that cannot follow slows the loop down instead of losing.
 _KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+
+# What has come is taken at this interval: to be woken for each message would cost as much again as
+# writing it, and nobody waits for a recorder.
+_TAKE_EVERY = 0.005  # s
 
 _STAMP_AND_PERIOD = struct.Struct("<4xiIQ")
 
@@ -36,7 +43,7 @@ def sink(writer: BagWriter, topic: str) -> Callable[[bytes], None]:
 
 
 class Recorder(Node):
-    """Writes every message of the loop into a bag.
+    """Writes messages of the loop into a bag.
 
     A message that is repeated (a node sends its last one again to a peer that came late) is
     written once.
@@ -45,6 +52,8 @@ class Recorder(Node):
     ----------
     writer : BagWriter
         Where the messages go; its owner closes it.
+    topics : iterable of str
+        Topics of the loop; all of them unless given.
     **options
         As of `Node`.
 
@@ -56,16 +65,33 @@ class Recorder(Node):
         Periods missing between messages of each topic.
     """
 
-    def __init__(self, writer: BagWriter, **options: Any) -> None:
+    def __init__(
+        self, writer: BagWriter, *, topics: Iterable[str] = tuple(LOOP_TOPICS), **options: Any
+    ) -> None:
         super().__init__("recorder", **options)
         self.last_period = dict.fromkeys(LOOP_TOPICS, -1)
         self.gaps = dict.fromkeys(LOOP_TOPICS, 0)
         self._steps: dict[str, int] = {}
-        for topic, type_name in LOOP_TOPICS.items():
-            msg_class = getattr(mfpcc_msgs.msg, type_name.rsplit("/", 1)[-1])
-            self.create_subscription(
-                msg_class, topic, self._writing(writer, topic), _KEEP_ALL, raw=True
-            )
+        self._inputs: list[tuple[Subscription, Callable[[bytes], None]]] = []
+        for topic in topics:
+            msg_class = getattr(mfpcc_msgs.msg, LOOP_TOPICS[topic].rsplit("/", 1)[-1])
+            write = self._writing(writer, topic)
+            subscription = self.create_subscription(msg_class, topic, write, _KEEP_ALL, raw=True)
+            self._inputs.append((subscription, write))
+        self.create_timer(_TAKE_EVERY, self.take_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """The subscriptions that an executor shall serve: not those of the loop."""
+        taken = [subscription for subscription, _ in self._inputs]
+        return (each for each in super().subscriptions if each not in taken)
+
+    def take_all(self) -> None:
+        """Write what has come."""
+        for subscription, write in self._inputs:
+            take, msg_class = subscription.handle.take_message, subscription.msg_type
+            while (message := take(msg_class, True)) is not None:
+                write(message[0])
 
     def _writing(self, writer: BagWriter, topic: str) -> Callable[[bytes], None]:
         last, write, unpack = self.last_period, writer.write, _STAMP_AND_PERIOD.unpack_from
