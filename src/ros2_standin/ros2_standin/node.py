@@ -28,8 +28,9 @@ LONGEST_UNREST = 3.0
 LOOK_TIME = 1.0
 #: Time between two looks at the graph (s).
 LOOK_PERIOD = 0.01
-#: Time a service may take to appear, and to answer (s).
+#: Time a service may take to appear, and then to answer (s). A node on a busy machine may compile.
 SERVICE_TIMEOUT = 5.0
+ANSWER_TIMEOUT = 30.0
 
 #: Names with their types, as rclpy returns them.
 NamesAndTypes = list[tuple[str, list[str]]]
@@ -135,11 +136,11 @@ def result_of(node: Node, future: Future, what: str) -> object:
     RuntimeError
         If there is none; the text begins with `what`.
     """
-    rclpy.spin_until_future_complete(node, future, timeout_sec=SERVICE_TIMEOUT)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_TIMEOUT)
     if not rclpy.ok():
         raise Terminated
     if not future.done():
-        raise RuntimeError(f"{what}: no answer within {SERVICE_TIMEOUT:g} s")
+        raise RuntimeError(f"{what}: no answer within {ANSWER_TIMEOUT:g} s")
     if future.exception() is not None:
         raise RuntimeError(f"{what}: {future.exception()}")
     return future.result()

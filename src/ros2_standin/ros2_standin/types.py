@@ -22,7 +22,7 @@ def interface_class(name: str, kind: str = "msg") -> Any:
     LookupError
         If there is no such type.
     """
-    package, *middle, base = name.split("/")
+    package, *middle, base = name.split("/") if "/" in name else ("", name)
     if not package or len(middle) > 1:
         raise LookupError(name)
     try:

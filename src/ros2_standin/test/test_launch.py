@@ -1,0 +1,197 @@
+"""`ros2 launch`: plain launch files run, and end as they should."""
+
+import signal
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ros2_standin.launching.context import LaunchContext
+from ros2_standin.launching.processes import Node, Supervisor
+from ros2_standin.launching.substitutions import LaunchConfiguration
+
+HEAD = """
+import sys
+from launch import LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument, ExecuteProcess, GroupAction, IncludeLaunchDescription, LogInfo,
+    OpaqueFunction, Shutdown,
+)
+from launch.conditions import IfCondition, UnlessCondition
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+
+def python(program, **options):
+    return ExecuteProcess(cmd=[sys.executable, "-u", "-c", program], name="p", **options)
+"""
+
+WAIT = "import signal; print('up'); signal.pause()"
+DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); print('up'); signal.pause()"
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Write a launch file with these entities."""
+
+    def write(entities, name="x.launch.py", before=""):
+        path = tmp_path / name
+        path.write_text(
+            f"{HEAD}{before}\ndef generate_launch_description():\n"
+            f"    return LaunchDescription([{entities}])\n"
+        )
+        return path
+
+    return write
+
+
+def test_arguments_are_shown(ros2, file):
+    path = file("DeclareLaunchArgument('a', default_value='1', description='A', choices=['1'])")
+    assert ros2("launch", path, "--show-args").out == (
+        "Arguments (pass arguments as '<name>:=<value>'):\n\n    'a':\n"
+        "        A. Valid choices are: ['1']\n        (default: '1')\n"
+    )
+    assert ros2("launch", file(""), "-s").out.endswith("\n  No arguments.\n")
+
+
+def test_conditions_and_arguments(ros2, file):
+    path = file(
+        "DeclareLaunchArgument('go', default_value='true'),"
+        "LogInfo(msg=['go is ', LaunchConfiguration('go')]),"
+        "LogInfo(msg='if', condition=IfCondition(LaunchConfiguration('go'))),"
+        "LogInfo(msg='unless', condition=UnlessCondition(LaunchConfiguration('go'))),"
+        "OpaqueFunction(function=lambda context: [LogInfo(msg=str(context.launch_configurations))])"
+    )
+    said = ros2("launch", path, "go:=0", "other:=x").out.splitlines()[1:]
+    assert said == [
+        "[INFO] [launch.user]: go is 0",
+        "[INFO] [launch.user]: unless",
+        "[INFO] [launch.user]: {'go': '0', 'other': 'x'}",
+    ]
+
+
+def test_groups_keep_their_arguments(ros2, file):
+    file(
+        "DeclareLaunchArgument('a', default_value='none'), LogInfo(msg=LaunchConfiguration('a'))",
+        name="inner.launch.py",
+    )
+    include = (
+        "GroupAction([IncludeLaunchDescription(PythonLaunchDescriptionSource("
+        "str(Path(__file__).with_name('inner.launch.py'))){})])"
+    )
+    path = file(
+        ",".join([include.format(", launch_arguments=[('a', 'one')]"), include.format("")]),
+        before="from pathlib import Path",
+    )
+    assert ros2("launch", path).out.splitlines()[1:] == [
+        "[INFO] [launch.user]: one",
+        "[INFO] [launch.user]: none",
+    ]
+
+
+def test_output_and_end(ros2, file):
+    outcome = ros2("launch", file("python('print(1); print(2)'), python('raise SystemExit(3)')"))
+    assert outcome.code == 0
+    lines = outcome.out.splitlines()
+    assert lines[1].startswith("[INFO] [p-1]: process started with pid [")
+    assert "[p-1] 1" in lines
+    assert any(line.startswith("[INFO] [p-1]: process has finished cleanly [pid") for line in lines)
+    assert any("[ERROR] [p-2]: process has died [pid " in x and "exit code 3" in x for x in lines)
+
+
+def test_end_of_one_is_the_end_of_all(ros2, file):
+    outcome = ros2("launch", file(f"python({WAIT!r}), python('print(1)', on_exit=Shutdown())"))
+    assert (
+        "[INFO] [launch]: process[p-2] was required: shutting down launched system" in outcome.out
+    )
+    assert "[INFO] [p-1]: sending signal 'SIGINT' to process[p-1]" in outcome.out
+    assert "[ERROR] [p-1]: process has died" in outcome.out
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_stopping(start, file, kind):
+    process = start("launch", file(f"python({WAIT!r})"))
+    process.wait_for("[p-1] up")
+    assert process.end(kind) == 0
+    assert "[WARNING] [launch]: user interrupted with" in process.out
+    assert "[INFO] [p-1]: sending signal 'SIGINT'" in process.out
+
+
+def test_who_does_not_listen_is_told_louder(ros2, file, monkeypatch):
+    monkeypatch.setattr("ros2_standin.launching.processes.PATIENCE", 0.2)
+    path = file(f"python({DEAF!r}), python('import time; time.sleep(1.0)', on_exit=Shutdown())")
+    said = ros2("launch", path).out
+    assert (
+        "failed to terminate '0.2' seconds after receiving 'SIGINT', escalating to 'SIGTERM'"
+        in said
+    )
+    assert "exit code -15" in said
+
+
+def test_node_that_is_not_there(ros2, file):
+    said = ros2("launch", file("Node(package='ros2_standin', executable='x')")).out
+    assert "executable 'x' not found in package 'ros2_standin'" in said
+    assert (
+        "package 'nope' not found"
+        in ros2("launch", file("Node(package='nope', executable='x')")).out
+    )
+
+
+def test_command_line_of_a_node(tmp_path, monkeypatch):
+    context = LaunchContext({"g": "2"}, Supervisor(tmp_path))
+    node = Node(
+        package="p",
+        executable="e",
+        name="n",
+        namespace="axis",
+        arguments=["a"],
+        parameters=["f.yaml", {"gain": LaunchConfiguration("g"), "mode": "fast", "x": 1.5}],
+        remappings=[("old", "new")],
+        ros_arguments=["--log-level", "warn"],
+    )
+    monkeypatch.setattr(node, "_path", lambda context: "/e")
+    command = node.command(context)
+    values = yaml.safe_load(Path(command.pop(-3)).read_text())
+    assert " ".join(command) == (
+        "/e a --ros-args --log-level warn -r __node:=n -r __ns:=/axis "
+        "--params-file f.yaml --params-file -r old:=new"
+    )
+    assert values == {"/**": {"ros__parameters": {"gain": 2, "mode": "fast", "x": 1.5}}}
+
+
+@pytest.mark.parametrize(
+    ("entities", "reason"),
+    [
+        ("DeclareLaunchArgument('a')", "Required launch argument 'a'"),
+        ("DeclareLaunchArgument('a', default_value='2', choices=['1'])", "is not valid. Valid"),
+        ("LogInfo(msg='', condition=IfCondition('maybe'))", "neither true nor false"),
+        ("LogInfo(msg=LaunchConfiguration('a'))", "launch configuration 'a' does not exist"),
+        ("ExecuteProcess(cmd=['/nope'])", "No such file or directory"),
+        ("1 / 0", "division by zero"),
+    ],
+)
+def test_errors_in_launch_files(ros2, file, entities, reason):
+    outcome = ros2("launch", file(entities))
+    assert outcome.code == 1
+    assert outcome.out.count("[ERROR] [launch]: Caught exception in launch") == 1
+    assert reason in outcome.out
+
+
+def test_what_is_missing_of_launch_is_told(ros2, file):
+    outcome = ros2("launch", file("", before="from launch.actions import TimerAction"))
+    assert outcome.code == 1
+    assert "launch.actions.TimerAction: not in this stand-in" in outcome.out
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("nope x.launch.py", "Package 'nope' not found"),
+        ("ros2_standin nope.launch.py", "file 'nope.launch.py' was not found in the share"),
+        (f"{__file__} a", "malformed launch argument 'a'"),
+    ],
+)
+def test_usage(ros2, line, reason):
+    outcome = ros2("launch", *line.split())
+    assert outcome.code == 1
+    assert reason in outcome.err
