@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_controller import motor, plug_in
+from mfpcc_controller import motor, plug_in, protection
 from mfpcc_controller.observer import observe, turned_by
 from mfpcc_controller.parameters import MFPCC_UPDATES, SCHEMES
 from mfpcc_controller.records import CONTROL_CFG, CONTROL_MEMORY
@@ -54,11 +54,32 @@ _WHOLE_PERIOD = 1.0 + 1e-9
 
 
 @kernel
+def _forget(mem):
+    """Whatever a scheme that failed has learned is not to be trusted."""
+    mem.mls.ready = False
+    mem.mfpcc.ready = False
+    mem.neso.ready = False
+    mem.ultra.ready = False
+    mem.pi.ready = False
+
+
+@kernel
+def _give_up(cfg, mem):
+    """The scheme in control predicts badly: the fallback from now on; if it is it, the gates."""
+    _forget(mem)
+    if mem.fallen or cfg.fallback == cfg.scheme:
+        mem.failed = True
+    mem.fallen = True
+
+
+@kernel
 def sample(cfg, mem, fb):
     """Take the sample: currents, angle, speed, the turns of the periods at hand, references."""
-    mem.consecutive = mem.running and fb.period == mem.period + np.uint64(1)
+    step = fb.period - mem.period if mem.running else np.uint64(0)
+    mem.consecutive = step == np.uint64(1)
     mem.running = True
     mem.period = fb.period
+    credible = protection.accept(cfg, mem, fb, step)
 
     copy_output(mem.now, mem.past)
     if mem.consecutive:
@@ -70,8 +91,13 @@ def sample(cfg, mem, fb):
         mem.pll_samples = 0
     mem.contiguous = mem.consecutive and mem.past.on
 
-    mem.u_dc = fb.dc_voltage
-    mem.theta_m = cfg.n_p * fb.encoder_angle
+    if credible:
+        mem.u_dc = fb.dc_voltage
+        mem.theta_m = cfg.n_p * fb.encoder_angle
+    else:
+        if mem.u_dc == 0.0:
+            mem.u_dc = cfg.u_dc
+        mem.theta_m = mem.pll_theta
     mem.turn = complex(math.cos(mem.theta_m), -math.sin(mem.theta_m))
     observe(cfg, mem)
     half = turned_by(0.5 * cfg.T_s * mem.w_m)
@@ -80,16 +106,24 @@ def sample(cfg, mem, fb):
     mem.turn_next = mem.turn_now * (half * half)
 
     mem.i_dq_past = mem.i_dq
-    i_alpha = (2.0 * fb.i_a - fb.i_b - fb.i_c) * _THIRD
-    i_beta = (fb.i_b - fb.i_c) * _INV_SQRT3
-    mem.i_dq = complex(i_alpha, i_beta) * mem.turn
+    if credible:
+        i_alpha = (2.0 * fb.i_a - fb.i_b - fb.i_c) * _THIRD
+        i_beta = (fb.i_b - fb.i_c) * _INV_SQRT3
+        mem.i_dq = complex(i_alpha, i_beta) * mem.turn
+        protection.watch(cfg, mem, fb)
+    elif abs(mem.i_hat) <= cfg.i_max:
+        mem.i_dq = mem.i_hat
     mem.e = mem.i_dq - mem.i_hat if mem.contiguous else 0j
+    if mem.guard.slowing:
+        protection.slow_down(cfg, mem)
     current_reference(cfg, mem)
 
     if mem.chosen != cfg.scheme:
         mem.chosen = cfg.scheme
         mem.fallen = False
         mem.failed = False
+    if protection.misled(cfg, mem) and cfg.react:
+        _give_up(cfg, mem)
     active = cfg.fallback if mem.fallen else cfg.scheme
     mem.kept = mem.active == active
     mem.active = active
@@ -160,12 +194,8 @@ def _sound(mem):
 @kernel
 def _fall_back(cfg, mem):
     """The scheme in control has failed: the fallback answers the same sample."""
-    # whatever the failed one has learned is not to be trusted
-    mem.mls.ready = False
-    mem.mfpcc.ready = False
-    mem.neso.ready = False
-    mem.ultra.ready = False
-    mem.pi.ready = False
+    protection.report(cfg, mem, protection.SCHEME, 0.0)
+    _forget(mem)
     if not mem.fallen and cfg.fallback != mem.active:
         mem.fallen = True
         mem.active = cfg.fallback
@@ -214,7 +244,7 @@ def command(cfg, mem, cmd, diag, want_diag):
     elif mem.active >= _BUILT_IN:
         # a plug-in sets vectors and dwell times only
         set_output(mem.next, mem.next.a, mem.next.b, mem.next.d_a, mem.next.d_b)
-    on = cfg.enable and not mem.failed
+    on = protection.released(cfg, mem) and cfg.enable and not mem.failed
     if not on:
         set_output(mem.next, 0, 0, 0.0, 0.0)
     mem.next.on = on
@@ -233,6 +263,10 @@ def command(cfg, mem, cmd, diag, want_diag):
 @kernel
 def answer(cfg, mem, fb, cmd, diag, want_diag):
     """`control` on the records themselves, for compiled loops."""
+    if protection.stale(mem, fb):
+        # the answer that is there stands
+        protection.refuse_stale(cfg, mem)
+        return
     sample(cfg, mem, fb)
     choose(cfg, mem)
     command(cfg, mem, cmd, diag, want_diag)
@@ -251,6 +285,11 @@ def control(cfg_, mem_, fb_, cmd_, diag_, want_diag):
         Whether to fill `diag_`.
     """
     answer(cfg_[0], mem_[0], fb_[0], cmd_[0], diag_[0], want_diag)
+
+
+@kernel
+def _is_stale(mem_, fb_):
+    return protection.stale(mem_[0], fb_[0])
 
 
 @kernel
@@ -317,6 +356,71 @@ class Controller:
         self.cfg["enable"] = on
 
     @property
+    def tripped(self) -> bool:
+        """Whether the gates are off until `clear_faults`."""
+        return bool(self.mem["guard"]["tripped"][0]) or self.failed
+
+    @property
+    def slowing(self) -> bool:
+        """Whether safe stop 1 is on its way to zero."""
+        return bool(self.mem["guard"]["slowing"][0])
+
+    def stop(self) -> None:
+        """Safe torque off: the gates go off with the next command, until `clear_faults`."""
+        guard = self.mem["guard"][0]
+        guard["slowing"] = False
+        guard["tripped"] = True
+
+    def slow_down(self) -> None:
+        """Safe stop 1: ramp down to zero speed, then `stop`; or after twice the ramp's time."""
+        guard = self.mem["guard"][0]
+        if guard["slowing"] or self.tripped:
+            return
+        if not self.cfg["speed_control"][0]:
+            self.cfg["speed_control"] = True
+            self.cfg["w_M_ref"] = self.mem["w_m"] / self.cfg["n_p"]
+        guard["stop_left"] = 2.0 * self.values["stop.ramp_time"]
+        guard["slowing"] = True
+
+    def feedback_lost(self, seconds: float) -> None:
+        """Disable, since no sample has come for so long."""
+        guard = self.mem["guard"][0]
+        if not int(guard["faults"]) >> protection.FEEDBACK_LOST & 1:
+            guard["faults"] |= np.uint32(1 << protection.FEEDBACK_LOST)
+            guard["at"][protection.FEEDBACK_LOST] = self.mem["period"][0]
+            guard["value"][protection.FEEDBACK_LOST] = seconds
+        if self.values["fault.react"]:
+            guard["tripped"] = True
+
+    def clear_faults(self) -> list[str]:
+        """Forget the latched faults; returns those whose cause lasts, and then clears none.
+
+        The inverter is enabled again once the reference has been at zero.
+        """
+        guard = self.mem["guard"][0]
+        lasting = protection.named(int(guard["present"] & guard["faults"]))
+        if lasting:
+            return lasting
+        guard["awaits_zero"] = True
+        guard["tripped"] = False
+        guard["slowing"] = False
+        guard["faults"] = 0
+        self.mem["fallen"] = False
+        self.mem["failed"] = False
+        self._apply_references()
+        return []
+
+    def faults(self) -> list[tuple[str, int, str]]:
+        """Latched faults, oldest first: code, period of the first occurrence, what was seen."""
+        guard = self.mem["guard"][0]
+        found = [
+            (code, int(guard["at"][bit]), text.format(value=float(guard["value"][bit])))
+            for bit, (code, text) in enumerate(protection.FAULTS.items())
+            if int(guard["faults"]) >> bit & 1
+        ]
+        return sorted(found, key=lambda fault: fault[1])
+
+    @property
     def compiled(self) -> bool:
         """Whether `control` alone does a period, with no plug-in in Python between."""
         return self._plug_in is None
@@ -335,7 +439,7 @@ class Controller:
     ) -> None:
         """One period, whoever is in control; parameters as of `control`."""
         host = self._plug_in
-        if host is None:
+        if host is None or _is_stale(self.mem, feedback):
             control(self.cfg, self.mem, feedback, command, diagnostics, want_diagnostics)
             return
         _sample(self.cfg, self.mem, feedback)
@@ -358,6 +462,7 @@ class Controller:
         cfg["b_d"] = T_s / cfg["L_d"]
         cfg["b_q"] = T_s / cfg["L_q"]
         self._apply_references()
+        self._apply_protection()
 
         cfg["rank_sectors"] = values["sector_search"] == "ranking"
         cfg["project"] = values["overmodulation"] == "project"
@@ -383,8 +488,9 @@ class Controller:
     def _apply_references(self) -> None:
         """Parameters of the speed loop, the references and the rotor observer."""
         values, cfg, est_par = self.values, self.cfg, self.motor
-        cfg["speed_control"] = values["control_mode"] == "speed"
-        cfg["w_M_ref"] = values["speed_ref_rpm"] * _TWO_PI / 60.0
+        if not self.slowing:
+            cfg["speed_control"] = values["control_mode"] == "speed"
+            cfg["w_M_ref"] = values["speed_ref_rpm"] * _TWO_PI / 60.0
         cfg["i_dq_ref"] = complex(values["i_d_ref"], values["i_q_ref"])
         # References are made from the motor file, whatever mismatch the current control has: all
         # schemes shall follow the same ones.
@@ -404,6 +510,29 @@ class Controller:
         omega_o = values["observer.bandwidth"]
         cfg["pll_k_p"] = 2.0 * omega_o
         cfg["pll_k_i"] = omega_o * omega_o
+
+    def _apply_protection(self) -> None:
+        """Limits of the faults, from the motor file and the parameters."""
+        values, cfg, est_par = self.values, self.cfg, self.motor
+        T_s, i_max = float(cfg["T_s"][0]), est_par.i_max
+        w_M_max = est_par.speed_max_rpm * _TWO_PI / 60.0
+        cfg["react"] = values["fault.react"]
+        cfg["overcurrent_sq"] = (values["fault.overcurrent"] * i_max) ** 2
+        cfg["current_sum"] = values["fault.current_sum"] * i_max
+        cfg["sum_rate"] = 1.0 - math.exp(-T_s / _SUM_TIME)
+        cfg["jump"] = 1.5 * w_M_max * T_s + values["fault.encoder_jump"]
+        cfg["overspeed"] = values["fault.overspeed"] * w_M_max * est_par.n_p
+        cfg["copper"] = 2.0 * 1.5 * est_par.R_s
+        cfg["torque_per_ampere"] = 1.5 * est_par.psi_f
+        cfg["power_rate"] = 1.0 - math.exp(-T_s / _POWER_TIME)
+        cfg["prediction_sq"] = (values["fault.prediction_error"] * i_max) ** 2
+        cfg["prediction_time"] = values["fault.prediction_time"]
+        cfg["u_dc"] = est_par.u_dc
+        cfg["u_dc_min"] = 0.1 * est_par.u_dc
+        cfg["u_dc_max"] = 4.0 * est_par.u_dc
+        cfg["stop_rate"] = w_M_max / values["stop.ramp_time"]
+        cfg["w_rest"] = 0.01 * w_M_max * est_par.n_p
+        cfg["i_rest_sq"] = (0.01 * i_max) ** 2
 
     def _current_limit(self, torque_limit: float) -> float:
         """Largest current amplitude (A) whose torque is within the limit (N m; 0: none)."""
@@ -444,6 +573,10 @@ class Controller:
             for name in ("sum_0", "sum_a", "sum_b", "norm_a", "norm_b", "e_0"):
                 memory[name] = 0.0
 
+
+#: Filters of the sum of the phase currents, and of the powers that SPINOUT compares (s)
+_SUM_TIME = 1e-3
+_POWER_TIME = 5e-3
 
 #: Bandwidth of field weakening (rad/s): slower than the current, faster than the speed
 _WEAKENING_BANDWIDTH = 100.0

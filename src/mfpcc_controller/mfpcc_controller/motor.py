@@ -29,6 +29,8 @@ class EstimatedPars(BaseModel):
         Largest current reference (A, amplitude).
     speed_max_rpm : float
         Largest speed reference (r/min).
+    u_dc : float
+        DC-link voltage it is meant for (V).
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -41,6 +43,7 @@ class EstimatedPars(BaseModel):
     J: float = Field(gt=0)
     i_max: float = Field(gt=0)
     speed_max_rpm: float = Field(gt=0)
+    u_dc: float = Field(gt=0)
 
 
 def load(name_or_path: str) -> EstimatedPars:

@@ -265,6 +265,75 @@ TABLE = Table(
             maximum=20_000.0,
         ),
         Parameter(
+            "stop.ramp_time",
+            0.5,
+            "Safe stop 1: time from top speed to zero; the gates go off after twice as long at the "
+            "latest",
+            unit="s",
+            minimum=1e-3,
+            maximum=1e3,
+        ),
+        Parameter(
+            "fault.react",
+            True,
+            "Whether a fault disables the inverter; false only to see what happens then",
+        ),
+        Parameter(
+            "fault.overcurrent",
+            1.5,
+            "Current amplitude that trips, over the motor's current limit",
+            minimum=0.1,
+            maximum=100.0,
+        ),
+        Parameter(
+            "fault.current_sum",
+            0.083,
+            "Sum of the phase currents (filtered, 1 ms) that trips, over the current limit",
+            minimum=1e-3,
+            maximum=100.0,
+        ),
+        Parameter(
+            "fault.encoder_jump",
+            0.05,
+            "Step of the angle from sample to sample that trips, beyond 1.5 times top speed; a "
+            "coarse encoder has steps of its own",
+            unit="rad",
+            minimum=0.0,
+            maximum=3.2,
+        ),
+        Parameter(
+            "fault.overspeed",
+            1.2,
+            "Speed that trips, over the motor's top speed",
+            minimum=0.1,
+            maximum=100.0,
+        ),
+        Parameter(
+            "fault.prediction_error",
+            0.25,
+            "Prediction error at which another scheme takes over, over the current limit",
+            minimum=1e-3,
+            maximum=100.0,
+        ),
+        Parameter(
+            "fault.prediction_time",
+            5e-3,
+            "So long has every prediction to be that wrong",
+            unit="s",
+            minimum=1e-4,
+            maximum=10.0,
+        ),
+        Parameter(
+            "fault.feedback_timeout",
+            0.0,
+            "Wall-clock time without a sample, once the loop has run, after which the controller "
+            "disables the inverter; 0: it waits, as lock-step does. Gaps of more than 5 samples "
+            "trip in any case",
+            unit="s",
+            minimum=0.0,
+            maximum=1e3,
+        ),
+        Parameter(
             "diagnostics_decimation",
             1,
             "lut_diagnostics is published every so many periods; 0: never",

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from pmsm_sim.protection import COMMAND_LOST, trip
 from pwm_node.compiled import kernel
 
 _INV_SQRT3 = 1.0 / math.sqrt(3.0)
@@ -42,11 +43,13 @@ def take_command(par, st):
     if st.latched:
         st.armed = True
         st.missing_in_row = 0
+        if not st.enable:
+            st.awaits_off = False
     elif st.armed:
         st.missed += np.uint64(1)
         st.missing_in_row += 1
         if st.missing_in_row >= par.loss_limit:
-            st.tripped = True
+            trip(par, st, COMMAND_LOST, st.missing_in_row)
         if not (par.hold and st.missing_in_row == 1):
             for x in range(3):
                 st.duty[x] = 0.5
@@ -55,7 +58,7 @@ def take_command(par, st):
     st.latched = False
     if par.modulator:
         _modulate(par, st)
-    st.gates_on = st.enable and not st.tripped
+    st.gates_on = st.enable and not (st.tripped or st.awaits_off)
 
 
 @kernel

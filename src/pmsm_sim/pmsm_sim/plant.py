@@ -22,6 +22,16 @@ from pmsm_sim.ideal import integrate_ideal
 from pmsm_sim.inverter import take_command
 from pmsm_sim.machine import co_energy, flux, torque
 from pmsm_sim.mechanics import STANDSTILL, profile
+from pmsm_sim.protection import (
+    COMMAND_LOST,
+    DC_OVERVOLTAGE,
+    DC_UNDERVOLTAGE,
+    FAULTS,
+    OVERCURRENT,
+    OVERTEMPERATURE,
+    named,
+    protect,
+)
 from pmsm_sim.records import (
     FIRST_ENERGY,
     INTEGRATED,
@@ -130,9 +140,10 @@ def advance(par_, st_, fb_, ds_, i_abc, legs_out):
     legs_out : uint8 array, shape (n,)
     """
     par, st, fb, ds = par_[0], st_[0], fb_[0], ds_[0]
-    take_command(par, st)
     if par.drifts:
         _warm(par, st)
+    protect(par, st)
+    take_command(par, st)
     theta_m = par.n_p * st.theta_M
     c, s = math.cos(theta_m), math.sin(theta_m)
     _set_stamp(fb.stamp, st.period, par.period_ns)
@@ -218,6 +229,7 @@ class Plant:
         for name, field in _DIRECT.items():
             par[field] = values[name]
         _set_inverter(par, values)
+        _set_protection(par, values, self.motor)
         _set_machine(par, values, self.motor, self._map)
         _set_dc_link(par, values)
         _set_mechanics(par, values, self.motor)
@@ -228,10 +240,32 @@ class Plant:
         _set_temperature(par, self.st["temperature"][0])
         _set_model(par)
 
-    def clear_trip(self) -> None:
-        """Forget a loss of commands; the gates are driven again with the next one."""
-        self.st["tripped"] = False
-        self.st["missing_in_row"] = 0
+    def stop(self) -> None:
+        """Safe torque off: block the gates until they are cleared."""
+        self.st["tripped"] = True
+
+    def clear_faults(self) -> list[str]:
+        """Forget the latched faults; returns those whose cause lasts, and then clears none.
+
+        The gates come back after a command that has them off, and then one that has them on.
+        """
+        lasting = named(int(self.st["present"][0] & self.st["faults"][0]))
+        if not lasting:
+            self.st["awaits_off"] |= self.st["tripped"]
+            self.st["tripped"] = False
+            self.st["faults"] = 0
+            self.st["missing_in_row"] = 0
+        return lasting
+
+    def faults(self) -> list[tuple[str, int, str]]:
+        """Latched faults, oldest first: code, period of the first occurrence, what was seen."""
+        st, limit = self.st[0], self.par["limit"][0]
+        found = []
+        for bit, (code, text) in enumerate(FAULTS.items()):
+            if int(st["faults"]) >> bit & 1:
+                detail = text.format(value=float(st["fault_value"][bit]), limit=float(limit[bit]))
+                found.append((code, int(st["fault_at"][bit]), detail))
+        return sorted(found, key=lambda fault: fault[1])
 
     def energies(self) -> dict[str, float]:
         """Energy by kind (J): what has flowed since the start, and what is stored now.
@@ -315,6 +349,16 @@ def _set_inverter(par: np.void, values: Mapping[str, Any]) -> None:
     counts = 0.5 * values["inverter.timer_clock"] * par["T_s"]
     par["timer_counts"] = max(1.0, round(counts)) if counts > 0.0 else 0.0
     par["modulator"] = counts > 0.0 or values["inverter.min_pulse"] > 0.0
+
+
+def _set_protection(par: np.void, values: Mapping[str, Any], pars: motor.MotorPars) -> None:
+    limit = par["limit"]
+    par["react"] = values["fault.react"]
+    limit[COMMAND_LOST] = values["inverter.command_loss_limit"]
+    limit[OVERCURRENT] = values["fault.overcurrent"] * pars.i_max
+    limit[DC_OVERVOLTAGE] = values["fault.dc_overvoltage"] * pars.u_dc
+    limit[DC_UNDERVOLTAGE] = values["fault.dc_undervoltage"] * pars.u_dc
+    limit[OVERTEMPERATURE] = values["fault.overtemperature"]
 
 
 def _set_machine(

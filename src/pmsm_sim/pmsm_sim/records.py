@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pmsm_sim.protection import N_FAULTS
+
 # Flux map: most cells along one current, and the spline coefficients they need.
 MAP_CELLS = 24
 MAP_SIZE = MAP_CELLS + 5
@@ -60,6 +62,9 @@ PLANT_PAR = np.dtype(
         # missing commands (see `inverter.take_command`)
         ("hold", np.bool_),  # whether the first missing command is replaced by the one before
         ("loss_limit", np.int64),  # so many missing in a row: gates off, latched
+        # protection (see `protection`)
+        ("react", np.bool_),  # whether a fault blocks the gates
+        ("limit", np.float64, (N_FAULTS,)),  # of the quantity that each fault looks at
         # which effects there are; all false: the ideal model, and nothing below is looked at
         ("general", np.bool_),  # what only the general model has
         ("modulator", np.bool_),  # duties are not applied as they come
@@ -186,6 +191,11 @@ PLANT_STATE = np.dtype(
         ("missed", np.uint64),  # since the start
         ("refused", np.uint64),  # since the start
         ("tripped", np.bool_),  # gates off until cleared
+        ("awaits_off", np.bool_),  # cleared: gates off until a command has had them off
+        ("present", np.uint32),  # faults whose cause is there in this period, bit by bit
+        ("faults", np.uint32),  # those latched
+        ("fault_at", np.uint64, (N_FAULTS,)),  # period of the first occurrence
+        ("fault_value", np.float64, (N_FAULTS,)),  # what was seen then
         ("gates_on", np.bool_),  # whether the gates are driven in this period
         # the period's switching pattern: seven intervals of constant leg states
         ("t_switch", np.float64, (8,)),  # their limits (s from the start of the period)

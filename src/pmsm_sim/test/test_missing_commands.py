@@ -44,8 +44,11 @@ def test_missing_commands_give_the_zero_vector_then_block_the_gates(bench):
     # latched: a new command alone does not bring the power back
     drive.run(3, (0.6, 0.5, 0.4))
     assert not drive.state[-1]["gates_on"]
-    drive.plant.clear_trip()
+    assert drive.plant.clear_faults() == []
+    # nor does it afterwards, before one has had the gates off
     drive.run(1, (0.6, 0.5, 0.4))
+    assert not drive.state[-1]["gates_on"]
+    drive.run(1, enable=False).run(1, (0.6, 0.5, 0.4))
     assert drive.state[-1]["gates_on"]
 
 

@@ -1,0 +1,163 @@
+"""The controller's protection: what is wrong disables with the very next command, and stays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from mfpcc_msgs.msg import DutyCommand, LutDiagnostics, PhaseFeedback
+
+from mfpcc_controller.drive import Controller
+from mfpcc_controller.parameters import TABLE
+from pwm_node.wire import fixed_dtype
+
+SPEED = 78.5  # rad/s
+
+
+class Drive:
+    """A controller that is shown samples of a machine turning at a steady speed."""
+
+    def __init__(self, **values):
+        dotted = {name.replace(".", "_"): name for name in TABLE}
+        changes = {"speed_ref_rpm": 750.0, "scheme": "pi_foc"}
+        changes |= {dotted[name]: value for name, value in values.items()}
+        self.controller = Controller(TABLE.complete(changes))
+        self.fb = np.zeros(1, fixed_dtype(PhaseFeedback))
+        self.cmd = np.zeros(1, fixed_dtype(DutyCommand))
+        self.lut = np.zeros(1, fixed_dtype(LutDiagnostics))
+        self.k = 0
+        self.speed = SPEED
+
+    def show(self, periods=1, skip=0, **wrong):
+        """Show so many samples; `wrong` replaces what is measured."""
+        for _ in range(periods):
+            fb = self.fb
+            fb["period"] = self.k
+            angle = (self.k * self.speed * 1e-4) % (2.0 * math.pi)
+            for x, name in enumerate(("i_a", "i_b", "i_c")):
+                fb[name] = -2.0 * math.sin(4.0 * angle - 2.0 * math.pi / 3.0 * x)
+            fb["encoder_angle"], fb["dc_voltage"] = angle, 311.0
+            for name, value in wrong.items():
+                fb[name] = value
+            self.controller.step(fb, self.cmd, self.lut, True)
+            self.k += 1 + skip
+        return self
+
+    @property
+    def enabled(self):
+        return bool(self.cmd["enable"][0])
+
+    @property
+    def codes(self):
+        return [code for code, _, _ in self.controller.faults()]
+
+
+def test_nothing_trips_by_itself():
+    drive = Drive().show(300)
+    assert drive.enabled and drive.codes == []
+
+
+def test_a_single_bad_sample_is_bridged_and_two_disable():
+    drive = Drive().show(100).show(1, i_a=math.nan)
+    assert drive.enabled and drive.codes == []
+    assert np.isfinite(drive.cmd["duty"]).all()
+    drive.show(1).show(2, encoder_angle=math.inf)
+    assert not drive.enabled and drive.codes == ["FEEDBACK_INVALID"]
+    assert np.isfinite(drive.cmd["duty"]).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"i_b": 1e9}, {"dc_voltage": -1.0}, {"dc_voltage": math.nan}, {"encoder_angle": -3.0}],
+)
+def test_samples_out_of_the_sensors_range_are_refused(wrong):
+    drive = Drive().show(100).show(2, **wrong)
+    assert not drive.enabled and drive.codes == ["FEEDBACK_INVALID"]
+
+
+def test_overcurrent_disables_with_the_next_command():
+    drive = Drive().show(100).show(1, i_a=19.0, i_b=-9.5, i_c=-9.5)
+    assert not drive.enabled and drive.codes[0] == "OVERCURRENT"
+    assert drive.controller.faults()[0][1] == 100
+
+
+def test_phase_currents_that_do_not_add_up():
+    drive = Drive().show(100).show(50, i_a=3.0)
+    assert not drive.enabled and "CURRENT_SUM" in drive.codes
+
+
+def test_a_jump_of_the_encoder():
+    drive = Drive().show(100).show(1, encoder_angle=5.0)
+    assert not drive.enabled and drive.codes == ["ENCODER"]
+
+
+def test_an_encoder_that_stands_still_while_the_rotor_turns():
+    drive = (
+        Drive().show(100).show(30, encoder_angle=float(Drive().show(100).fb["encoder_angle"][0]))
+    )
+    assert not drive.enabled and "ENCODER" in drive.codes
+
+
+def test_overspeed():
+    drive = Drive(fault_overspeed=0.4).show(100)
+    assert not drive.enabled and drive.codes == ["OVERSPEED"]
+
+
+def test_a_gap_of_more_than_five_samples():
+    assert Drive().show(100, skip=0).show(1, skip=5).codes == []
+    drive = Drive().show(100).show(1, skip=6).show(1)
+    assert not drive.enabled and "FEEDBACK_LOST" in drive.codes
+
+
+def test_a_sample_that_comes_again_has_no_effect():
+    drive = Drive().show(100)
+    before, memory = drive.cmd.copy(), drive.controller.mem["pll_theta"].copy()
+    drive.k -= 1
+    drive.show(1, i_a=1.0)
+    assert drive.cmd == before and drive.controller.mem["pll_theta"] == memory
+
+
+def test_bad_predictions_bring_the_fallback_and_then_the_stop():
+    drive = Drive(scheme="mbpcc", mismatch_flux=100.0).show(100)
+    assert "PREDICTION" in drive.codes
+    assert drive.controller.scheme == "pi_foc"
+
+
+def test_without_the_reaction_it_only_tells():
+    drive = Drive(fault_react=False).show(100).show(2, i_a=math.nan)
+    assert drive.enabled and drive.codes == ["FEEDBACK_INVALID"]
+
+
+def test_power_returns_only_after_the_reference_has_been_at_zero():
+    drive = Drive().show(100).show(2, i_a=math.nan)
+    assert drive.controller.clear_faults() == ["FEEDBACK_INVALID"], "the cause lasts"
+    drive.show(5)
+    assert drive.controller.clear_faults() == []
+    drive.show(5)
+    assert not drive.enabled and drive.codes == []
+    drive.controller.apply({"speed_ref_rpm": 0.0})
+    drive.show(1)
+    assert drive.enabled
+    drive.controller.apply({"speed_ref_rpm": 750.0})
+    drive.show(1)
+    assert drive.enabled
+
+
+def test_safe_torque_off():
+    drive = Drive().show(100)
+    drive.controller.stop()
+    assert not drive.show(1).enabled
+    assert not drive.show(50).enabled
+
+
+def test_safe_stop_1_ramps_down_and_then_disables():
+    drive = Drive(stop_ramp_time=0.01).show(100)
+    drive.controller.slow_down()
+    drive.show(1)
+    assert drive.enabled
+    assert drive.controller.cfg["w_M_ref"][0] < SPEED
+    drive.show(60)
+    assert drive.controller.cfg["w_M_ref"][0] == 0.0
+    drive.show(200)
+    assert not drive.enabled, "the machine did not come to rest in time"

@@ -1,0 +1,92 @@
+"""The inverter's protection: same period, latched, cleared only when the cause has gone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+
+def _codes(drive):
+    return [code for code, _, _ in drive.plant.faults()]
+
+
+def _dc_voltage(volts):
+    return lambda drive: drive.plant.apply({"dc_voltage": volts})
+
+
+def _current(amperes):
+    def cause(drive):
+        drive.st["i_q"] = amperes
+
+    return cause
+
+
+CAUSES = {
+    "OVERCURRENT": _current(18.1),
+    "DC_OVERVOLTAGE": _dc_voltage(411.0),
+    "DC_UNDERVOLTAGE": _dc_voltage(199.0),
+    "OVERTEMPERATURE": lambda drive: drive.plant.apply({"drift.temperature": 126.0}),
+}
+
+
+@pytest.mark.parametrize("code", CAUSES)
+def test_a_fault_blocks_the_gates_in_the_same_period(bench, code):
+    drive = bench().run(5)
+    assert drive.column("gates_on").all()
+    CAUSES[code](drive)
+    drive.run(1)
+    assert not drive.state[-1]["gates_on"]
+    assert _codes(drive) == [code]
+    assert drive.plant.faults()[0][1] == 5
+
+
+@pytest.mark.parametrize("code", CAUSES)
+def test_without_the_reaction_the_gates_stay_on(bench, code):
+    drive = bench(fault_react=False).run(5)
+    CAUSES[code](drive)
+    drive.run(1)
+    assert drive.state[-1]["gates_on"]
+    assert _codes(drive) == [code]
+
+
+def test_a_current_that_is_no_number_trips(bench):
+    drive = bench().run(1)
+    _current(np.nan)(drive)
+    drive.run(1)
+    assert _codes(drive) == ["OVERCURRENT"]
+    assert not drive.state[-1]["gates_on"]
+
+
+def test_clearing_is_refused_while_the_cause_lasts_and_power_waits_for_an_off_command(bench):
+    drive = bench().run(2)
+    drive.plant.apply({"dc_voltage": 420.0})
+    drive.run(3)
+    assert drive.plant.clear_faults() == ["DC_OVERVOLTAGE"]
+    drive.plant.apply({"dc_voltage": 311.0})
+    drive.run(1)
+    assert not drive.state[-1]["gates_on"], "latched"
+    assert drive.plant.clear_faults() == []
+    assert _codes(drive) == []
+    drive.run(3)
+    assert not drive.state[-1]["gates_on"], "the command has not been off"
+    drive.run(1, enable=False).run(1)
+    assert drive.state[-1]["gates_on"]
+
+
+def test_the_first_fault_keeps_its_period_and_value(bench):
+    drive = bench().run(2)
+    drive.plant.apply({"dc_voltage": 420.0})
+    drive.run(1)
+    drive.plant.apply({"dc_voltage": 450.0})
+    drive.run(5)
+    assert drive.plant.faults() == [("DC_OVERVOLTAGE", 2, "DC link at 420 V, limit 410 V")]
+
+
+def test_safe_torque_off_stays_until_cleared(bench):
+    drive = bench().run(2)
+    drive.plant.stop()
+    drive.run(3)
+    assert not drive.column("gates_on")[2:].any()
+    assert drive.plant.clear_faults() == []
+    drive.run(1, enable=False).run(1)
+    assert drive.state[-1]["gates_on"]
