@@ -194,7 +194,7 @@ TABLE = Table(
         ),
         Parameter(
             "mls.map_rate",
-            0.01,
+            0.005,
             "Rate at which the forced entries follow what the moving part of the voltage tells; "
             "0: the paper's update alone",
             minimum=0.0,

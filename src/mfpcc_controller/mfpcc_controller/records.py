@@ -134,14 +134,17 @@ MLS_MEMORY = np.dtype(
         ("u_dq", np.complex128),  # (V)
         ("u_mean", np.complex128),
         ("u_var", np.float64),  # (V^2)
-        ("u_known", np.bool_),
+        ("e_mean", np.complex128),  # mean of the error (A)
+        ("rate", np.float64),  # of learning from the moving part of the voltage
+        ("begun", np.bool_),  # the natural entry is that of this run
         # 1 / (sin(60 degrees) |u_j|), for the u_dc it was computed for
         ("per_volt", np.float64),
         ("u_dc", np.float64),
         # self-commissioning
         ("stage", np.int64),
         ("dwell", np.float64),
-        ("response", np.complex128, (3,)),
+        ("du", np.complex128, (3,)),  # voltages of the pulses (V, dq)
+        ("di", np.complex128, (3,)),  # and what the current did (A)
     ],
     align=True,
 )

@@ -47,8 +47,10 @@ from mfpcc_controller.vectors import (
     ACTIVE_LENGTH,
     DIRECTIONS,
     SIN_60,
+    cross,
     next_vector,
     scaled,
+    set_output,
     square,
 )
 from pwm_node.compiled import kernel
@@ -56,13 +58,21 @@ from pwm_node.compiled import kernel
 # Keeps the fit defined for a vector that was hardly applied; far below any dwell that matters.
 _EPS = 1e-6
 
-# Mean square voltage deviation below which little is learned from it, over the square of u_dc.
-# Without noise the voltage hardly moves, and what then moves with it (a change of speed) is not
-# its answer: the map drifted away there, until the current burst out and taught it again.
-_V_SQ_MIN = 1e-4
+# Mean square voltage deviation below which little is learned from it, over the square of u_dc: 1 V
+# of 311 V. Without noise the voltage hardly moves, and what then moves with it (a change of speed)
+# is not its answer.
+_V_SQ_MIN = 1e-5
 
-# Square of an error (A^2) that no drive can make; written so that NaN is above it too.
-_ABSURD = 1e8
+# A fresh map is learned faster by this factor, which fades within this time (s).
+_RATE_AT_FIRST = 10.0
+_FADING = 0.02
+
+
+# Self-commissioning: dwell of the first and the longest pulses, and the answer that is enough,
+# over the current limit.
+_FIRST_PULSE = 0.01
+_LAST_PULSE = 0.5
+_ANSWER = 0.1
 
 
 @kernel
@@ -72,26 +82,71 @@ def _response(lut, u_dq):
 
 
 @kernel
-def forget(lut):
+def _forget(lut):
     """Empty the window, since what is in it does not belong to the samples to come."""
     lut.pair = -1
     lut.sum_0 = 0j
     for n in range(lut.e_0.shape[0]):
         lut.e_0[n] = 0j
-    lut.u_known = False
+    lut.begun = False
+    lut.stage = 0
 
 
 @kernel
-def _initialise(cfg, lut):
-    """First table: isotropic at the mean inductance of the controller's model, nothing natural."""
-    gain = 2.0 * cfg.T_s / (cfg.L_d + cfg.L_q)
-    lut.g_0 = 0j
-    lut.m_d = complex(gain, 0.0)
-    lut.m_q = complex(0.0, gain)
+def _fill(lut, g_0, m_d, m_q):
+    """A first table."""
+    lut.g_0, lut.m_d, lut.m_q = g_0, m_d, m_q
     lut.u_var = 0.0
     lut.learned = False
     lut.ready = True
-    forget(lut)
+    _forget(lut)
+
+
+@kernel
+def _fill_from_model(cfg, lut):
+    """First table: isotropic at the mean inductance of the controller's model, nothing natural."""
+    gain = 2.0 * cfg.T_s / (cfg.L_d + cfg.L_q)
+    _fill(lut, 0j, complex(gain, 0.0), complex(0.0, gain))
+    lut.rate = cfg.mls_mu * _RATE_AT_FIRST
+
+
+@kernel
+def _commission(cfg, mem):
+    """Fill an empty table by measurement, with nothing known of the motor but its current limit.
+
+    Pulses of V1, V3 and V5, together no voltage, and what the current did in these three periods
+    are three equations `di = g_0 + m_d u_d + m_q u_q` for the three unknowns, at any speed. The
+    first pulses are so short that no motor minds, then longer until the answer stands out.
+    """
+    lut = mem.mls
+    stage = lut.stage
+    if stage == 0 or not mem.contiguous:
+        stage = 0
+        lut.dwell = max(lut.dwell, _FIRST_PULSE)
+    elif stage >= 2:
+        lut.du[stage - 2] = scaled(mem.u_dc, mem.past.u * mem.turn_past)
+        lut.di[stage - 2] = mem.i_dq - mem.i_dq_past
+    mem.i_hat = mem.i_dq
+    set_output(mem.next, 0, 0, 0.0, 0.0)
+    if stage < 3:
+        set_output(mem.next, 2 * stage + 1, 0, lut.dwell, 0.0)
+    lut.stage = stage + 1
+    if stage < 4:
+        return
+    lut.stage = 0
+    u_1, u_2 = lut.du[1] - lut.du[0], lut.du[2] - lut.du[0]
+    i_1, i_2 = lut.di[1] - lut.di[0], lut.di[2] - lut.di[0]
+    size = math.sqrt(square(i_1) + square(i_2))
+    wanted = _ANSWER * cfg.i_max
+    if size < wanted and lut.dwell < _LAST_PULSE and square(mem.i_dq) < 0.25 * cfg.i_max**2:
+        # at most eight times longer: short pulses answer with noise only
+        lut.dwell = min(_LAST_PULSE, lut.dwell * min(8.0, 1.5 * wanted / size))
+        return
+    inverse = 1.0 / cross(u_1, u_2)
+    m_d = scaled(inverse * u_2.imag, i_1) - scaled(inverse * u_1.imag, i_2)
+    m_q = scaled(inverse * u_1.real, i_2) - scaled(inverse * u_2.real, i_1)
+    _fill(lut, 0j, m_d, m_q)
+    lut.rate = cfg.mls_mu
 
 
 @kernel
@@ -147,26 +202,29 @@ def _learn(cfg, mem):
     if mem.u_dc != lut.u_dc:
         lut.u_dc = mem.u_dc
         lut.per_volt = 1.0 / (SIN_60 * ACTIVE_LENGTH * mem.u_dc)
-    step = eta * lut.per_volt
-    step_a = scaled(step / (_EPS + lut.norm_a), lut.sum_a)
-    step_b = scaled(step / (_EPS + lut.norm_b), lut.sum_b)
+    fit_a = scaled(lut.per_volt / (_EPS + lut.norm_a), lut.sum_a)
+    fit_b = scaled(lut.per_volt / (_EPS + lut.norm_b), lut.sum_b)
 
     # the moving part of the voltage
     mean = lut.u_mean
     v = lut.u_dq - mean
     v_sq = square(v)
     floor = _V_SQ_MIN * mem.u_dc * mem.u_dc
-    k = scaled(cfg.mls_mu / (floor + lut.u_var + v_sq), v)
+    k = scaled(lut.rate / (floor + lut.u_var + v_sq), v)
+    lut.rate += cfg.T_s / _FADING * (cfg.mls_mu - lut.rate)
     lut.u_var += cfg.mls_gamma * (v_sq - lut.u_var)
     lut.u_mean = mean + scaled(cfg.mls_gamma, v)
-    e = scaled(small, e)
+    e -= lut.e_mean
+    lut.e_mean += scaled(cfg.mls_gamma, e)
 
     # both into the map: with unit vectors a and b, 60 degrees apart, a voltage u is
     # (u x b) a + (a x u) b over sin 60 degrees
     a = DIRECTIONS[past.a] * mem.turn_past
     b = next_vector(a)
-    lut.m_d += scaled(b.imag, step_a) - scaled(a.imag, step_b) + scaled(k.real, e)
-    lut.m_q += scaled(a.real, step_b) - scaled(b.real, step_a) + scaled(k.imag, e)
+    fit_d = scaled(b.imag, fit_a) - scaled(a.imag, fit_b)
+    fit_q = scaled(a.real, fit_b) - scaled(b.real, fit_a)
+    lut.m_d += scaled(eta, fit_d) + scaled(k.real, e)
+    lut.m_q += scaled(eta, fit_q) + scaled(k.imag, e)
     lut.g_0 += scaled(eta * cfg.mls_mean, lut.sum_0)
     lut.g_0 -= scaled(k.real * mean.real + k.imag * mean.imag, e)
     lut.learned_at = mem.period
@@ -176,23 +234,48 @@ def _learn(cfg, mem):
 
 
 @kernel
+def _turned(turn, i_dq):
+    """Natural response (A) to the turn of the frame alone, known with no motor parameter."""
+    return complex(turn * i_dq.imag, -turn * i_dq.real)
+
+
+@kernel
+def _begin(cfg, mem):
+    """First sample with a known past: the natural entry is what the last increment leaves."""
+    lut = mem.mls
+    u_past = scaled(mem.u_dc, mem.past.u * mem.turn_past)
+    known = _response(lut, u_past) + _turned(cfg.T_s * mem.w_m, mem.i_dq_past)
+    lut.g_0 = mem.i_dq - mem.i_dq_past - known
+    lut.u_mean = u_past
+    lut.e_mean = 0j
+    lut.begun = True
+    mem.updated = np.uint8(1)
+    mem.eta = 1.0
+
+
+@kernel
 def step(cfg, mem):
     """Learn from the last error, predict k + 1, reach the reference at k + 2."""
     lut = mem.mls
     if not lut.ready:
-        _initialise(cfg, lut)
-    elif mem.contiguous and mem.kept and square(mem.e) < _ABSURD:
-        _learn(cfg, mem)
+        if cfg.mls_empty:
+            _commission(cfg, mem)
+        else:
+            _fill_from_model(cfg, lut)
+        if not lut.ready:
+            return
+    if not (mem.contiguous and mem.kept and lut.begun):
+        _forget(lut)
+        if mem.contiguous:
+            _begin(cfg, mem)
     else:
-        forget(lut)
+        _learn(cfg, mem)
 
     u_dq = scaled(mem.u_dc, mem.now.u * mem.turn_now)
     lut.u_dq = u_dq
-    if not lut.u_known:
-        lut.u_mean = u_dq
-        lut.u_known = True
-    i_1 = mem.i_dq + lut.g_0 + _response(lut, u_dq)
-    x = mem.i_dq_ref - i_1 - lut.g_0
+    turn = cfg.T_s * mem.w_m
+    i_1 = mem.i_dq + lut.g_0 + _turned(turn, mem.i_dq) + _response(lut, u_dq)
+    x = mem.i_dq_ref - i_1 - lut.g_0 - _turned(turn, i_1)
     u_1 = scaled(ACTIVE_LENGTH * mem.u_dc, mem.turn_next)
     search.choose(cfg, x, _response(lut, u_1), _response(lut, next_vector(u_1)), mem.next)
     mem.i_hat = i_1
@@ -206,11 +289,11 @@ def show(cfg, mem, diag):
     back = mem.turn_now.conjugate()
     g_1 = _response(lut, u_1) * back
     g_2 = _response(lut, next_vector(u_1)) * back
-    show_gradients(diag, lut.g_0, g_1, g_2)
+    show_gradients(diag, lut.g_0 + _turned(cfg.T_s * mem.w_m, mem.i_dq), g_1, g_2)
     age = np.uint32(mem.period - lut.learned_at) if lut.learned else NEVER
     for j in range(7):
         diag.age[j] = age
-    if mem.updated == 0:
+    if mem.updated != 127:
         show_shares(diag, 0.0, 0.0, 0.0)
         return
     q_a, q_b = past.d_a * past.d_a, past.d_b * past.d_b

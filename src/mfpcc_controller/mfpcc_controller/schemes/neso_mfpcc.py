@@ -36,12 +36,16 @@ def _fal(x):
 def step(cfg, mem):
     """Observe, predict sample k + 1 with the committed output, reach the reference at k + 2."""
     eso, w_o, T_s = mem.neso, cfg.neso_w_o, cfg.T_s
-    if not eso.ready:
-        eso.z_2 = 0j
-        eso.ready = True
     h = model.predict(cfg, mem) - mem.i_dq
-    if not (mem.contiguous and mem.kept):
+    if not (eso.ready and mem.contiguous and mem.kept):
+        # start from what the model missed in the last increment
         eso.z_1 = mem.i_dq
+        eso.z_2 = 0j
+        if mem.contiguous:
+            u_past = scaled(mem.u_dc, mem.past.u * mem.turn_past)
+            h_past = model.natural(cfg, mem.w_m, mem.i_dq_past) + model.forced(cfg, u_past)
+            eso.z_2 = scaled(1.0 / T_s, mem.i_dq - mem.i_dq_past - h_past)
+        eso.ready = True
     err = eso.z_1 - mem.i_dq
     z_2 = eso.z_2
     eso.z_1 += h + scaled(T_s, z_2 - scaled(2.0 * w_o, err))

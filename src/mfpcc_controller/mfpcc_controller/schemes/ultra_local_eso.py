@@ -36,13 +36,17 @@ def reach(cfg, mem, unknown):
 
 @kernel
 def take_over(cfg, mem):
-    """Start the observer of F, or carry it on from the present sample."""
+    """Start the observer where the last increment leaves it, unless it was in control then."""
     eso = mem.ultra
-    if not eso.ready:
-        eso.z_2 = 0j
-        eso.ready = True
-    if not (mem.contiguous and mem.kept):
-        eso.z_1 = mem.i_dq
+    if eso.ready and mem.kept and mem.contiguous:
+        return
+    eso.z_1 = mem.i_dq
+    eso.z_2 = 0j
+    if mem.contiguous:
+        u_past = scaled(mem.u_dc, mem.past.u * mem.turn_past)
+        unknown = mem.i_dq - mem.i_dq_past - model.forced(cfg, u_past)
+        eso.z_2 = scaled(1.0 / cfg.T_s, unknown)
+    eso.ready = True
 
 
 @kernel
