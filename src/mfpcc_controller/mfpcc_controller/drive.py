@@ -365,6 +365,17 @@ class Controller:
         """Whether safe stop 1 is on its way to zero."""
         return bool(self.mem["guard"]["slowing"][0])
 
+    @property
+    def released(self) -> bool:
+        """Whether nothing but `enabled` keeps the gates off."""
+        return not (self.tripped or self.mem["guard"]["awaits_zero"][0])
+
+    def inherit_faults(self, other: Controller) -> None:
+        """Take over what another controller has latched."""
+        for name in ("tripped", "faults", "at", "value"):
+            self.mem["guard"][name] = other.mem["guard"][name]
+        self.mem["guard"]["tripped"] |= other.failed
+
     def stop(self) -> None:
         """Safe torque off: the gates go off with the next command, until `clear_faults`."""
         guard = self.mem["guard"][0]

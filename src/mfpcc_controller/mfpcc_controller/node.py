@@ -10,7 +10,14 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from mfpcc_msgs.msg import DriveReference, DriveStatus, DutyCommand, LutDiagnostics, PhaseFeedback
+from mfpcc_msgs.msg import (
+    DriveFault,
+    DriveReference,
+    DriveStatus,
+    DutyCommand,
+    LutDiagnostics,
+    PhaseFeedback,
+)
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter as RosParameter
@@ -20,11 +27,14 @@ from rclpy.timer import Timer
 from mfpcc_controller.drive import Controller
 from mfpcc_controller.parameters import TABLE
 from pwm_node import compiled, spin
-from pwm_node.diagnostics import Part
+from pwm_node.diagnostics import Level, Part
 from pwm_node.node import PwmNode
+from pwm_node.stops import Stops
 from pwm_node.wire import Wire, WireError
 
 _LOOK_EVERY = 0.01  # s
+# A sample that is older by less than this has been overtaken; else the plant has begun anew.
+_OVERTAKEN = 100
 _START_PLANT = "ros2 run pmsm_sim pmsm_sim"
 
 
@@ -51,7 +61,8 @@ class MfpccController(PwmNode):
 
     def configure(self) -> None:
         """Make the controller and the topics."""
-        self._begin_anew()
+        self.core = Controller(self.values)
+        self._follow_core()
         self._feedback = Wire(PhaseFeedback)
         self._command = Wire(DutyCommand)
         self._lut = Wire(LutDiagnostics)
@@ -73,6 +84,7 @@ class MfpccController(PwmNode):
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self._told: tuple[Any, ...] = ()
+        self._stops = Stops(self, "the reference has been at zero")
 
     def _compile(self) -> None:
         """Compile the kernel, or load it, before a sample waits for it."""
@@ -81,15 +93,23 @@ class MfpccController(PwmNode):
         trial.step(self._feedback.fixed, self._command.fixed, self._lut.fixed, True)
 
     def _begin_anew(self) -> None:
-        """Make a controller that has seen nothing yet."""
+        """Make a controller that has seen nothing yet, but for faults: they stay latched."""
+        before = self.core
         self.core = Controller(self.values)
+        if before.tripped:
+            self.core.inherit_faults(before)
+        self._follow_core()
+
+    def _follow_core(self) -> None:
         self.core.enabled = self.active
         self._fallen = self.core.mem["fallen"]
+        self._faults = self.core.mem["guard"]["faults"]
+        self._seen_faults = int(self._faults[0])
 
     def activate(self) -> None:
         """Enable the inverter from the next command on."""
         self.core.enabled = True
-        self._tell_status()
+        self.tell_status()
 
     def deactivate(self) -> None:
         """Block the gates, also if no further sample is answered."""
@@ -99,11 +119,12 @@ class MfpccController(PwmNode):
             self._command.fixed["period"] += 1
             self._command.fixed["enable"] = False
             self._command_out.publish_aside(self._command.to_bytes())
-        self._tell_status()
+        self.tell_status()
 
     def cleanup(self) -> None:
         """Remove what is not on the loop."""
         self._drop_held()
+        self._stops.destroy()
         self.destroy_subscription(self._reference_in)
         self.destroy_publisher(self._status_out)
 
@@ -131,6 +152,8 @@ class MfpccController(PwmNode):
         if self._fallen[0] != self._told_fallen:
             self._tell_fallback()
         self._command_out.publish(self._command.to_bytes())
+        if self._faults[0] != self._seen_faults:
+            self.tell_status()
         if tell:
             self._lut_out.publish(self._lut.to_bytes())
 
@@ -142,6 +165,10 @@ class MfpccController(PwmNode):
             return False
         if self.period < 0 and not self._heard():
             return False
+        if 0 < k < self.period < k + _OVERTAKEN:
+            # counted by the controller; it answers only what is newer than what it has seen
+            self.core.step(self._feedback.fixed, self._command.fixed, self._lut.fixed, False)
+            return False
         if k < self.period:
             self.get_logger().info(f"the plant began anew (period {self.period}, then {k})")
             self._begin_anew()
@@ -151,6 +178,11 @@ class MfpccController(PwmNode):
 
     def on_stall(self, seconds: float) -> None:
         """Send the last command again: whoever came after it was sent has not got it."""
+        limit = self.values["fault.feedback_timeout"]
+        if self.period >= 0 and 0.0 < limit <= seconds:
+            self.core.feedback_lost(seconds)
+            self._command.fixed["enable"] = False
+            self.tell_status()
         if self.period >= 0:
             self._command_out.publish_aside(self._command.to_bytes())
 
@@ -197,7 +229,7 @@ class MfpccController(PwmNode):
         """Tell of a change of the scheme."""
         if "scheme" in changes:
             self._lut.set_string("scheme", self.core.scheme)
-            self._tell_status()
+            self.tell_status()
 
     # What it tells --------------------------------------------------------------------------
 
@@ -206,10 +238,14 @@ class MfpccController(PwmNode):
         if self.period < 0:
             return
         mem = self.core.mem[0]
+        self.tell_status()
+        codes = ", ".join(code for code, _, _ in self.core.faults())
+        tripped = self.core.tripped
         yield Part(
             "current control",
-            self.core.scheme,
-            values={
+            f"tripped: {codes or 'STO'}" if tripped else codes or self.core.scheme,
+            Level.ERROR if tripped else Level.WARN if codes else Level.OK,
+            {
                 "i_d (A)": float(mem["i_dq"].real),
                 "i_q (A)": float(mem["i_dq"].imag),
                 "i_d reference (A)": float(mem["i_dq_ref"].real),
@@ -228,23 +264,37 @@ class MfpccController(PwmNode):
                 f"{self.core.complaint or 'its output is not finite'}; "
                 f"'{self.core.scheme}' took over"
             )
-        self._tell_status()
+        self.tell_status()
 
-    def _tell_status(self) -> None:
-        """Publish `drive_status` if it has changed."""
-        told = ("running" if self.active else "ready", self.core.scheme)
-        if told == self._told:
+    def tell_status(self) -> None:
+        """Publish `drive_status` if it has changed, and say what faults are new."""
+        core = self.core
+        self._seen_faults = int(self._faults[0])
+        state = "ready"
+        if core.tripped:
+            state = "tripped"
+        elif self.active:
+            state = "stopping" if core.slowing else "running"
+        enabled = self.active and bool(core.released)
+        faults = core.faults()
+        if (state, enabled, core.scheme, faults) == self._told:
             return
-        self._told = told
+        self._told = (state, enabled, core.scheme, faults)
+        self._stops.log()
         status = DriveStatus(
             period=max(self.period, 0),
             node=self.get_name(),
-            state=told[0],
-            enabled=self.active,
-            scheme=told[1],
+            state=state,
+            enabled=enabled,
+            scheme=core.scheme,
         )
         stamp = self._feedback.fixed["stamp"][0]
         status.stamp.sec, status.stamp.nanosec = int(stamp["sec"]), int(stamp["nanosec"])
+        period_ns = int(core.cfg["period_ns"][0])
+        for code, period, detail in faults:
+            fault = DriveFault(code=code, detail=detail, period=period)
+            fault.stamp.sec, fault.stamp.nanosec = divmod(period * period_ns, 1_000_000_000)
+            status.faults.append(fault)
         self._status_out.publish(status)
 
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from mfpcc_msgs.msg import DriveState, DriveStatus, DutyCommand, PhaseFeedback
+from mfpcc_msgs.msg import DriveFault, DriveState, DriveStatus, DutyCommand, PhaseFeedback
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -23,6 +23,7 @@ from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
 from pwm_node import compiled, spin
 from pwm_node.diagnostics import Level, Part
 from pwm_node.node import PwmNode
+from pwm_node.stops import Stops
 from pwm_node.wire import Wire, WireError
 
 _LOOK_EVERY = 0.01  # s
@@ -74,6 +75,9 @@ class PmsmSim(PwmNode):
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self._told: tuple[Any, ...] = ()
+        self._stops = Stops(self, "a command that has the gates off, and then one that has them on")
+        self._faults = self.core.st["faults"]
+        self._seen_faults = 0
 
     def _compile(self) -> None:
         """Compile the kernels, or load them, before a period waits for them."""
@@ -90,7 +94,7 @@ class PmsmSim(PwmNode):
             self._begin = self.create_timer(
                 _LOOK_EVERY, self._begin_when_heard, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
-        self._tell_status()
+        self.tell_status()
 
     def _begin_when_heard(self) -> None:
         """Begin once everybody is there who must not miss the first sample."""
@@ -106,12 +110,13 @@ class PmsmSim(PwmNode):
 
     def deactivate(self) -> None:
         """Block the gates from the next period on."""
-        self._tell_status()
+        self.tell_status()
 
     def cleanup(self) -> None:
         """Stop the clock of the paced mode."""
         self._set_pace(None)
         self._drop_begin()
+        self._stops.destroy()
         self.destroy_publisher(self._status_out)
 
     # The period -----------------------------------------------------------------------------
@@ -168,6 +173,8 @@ class PmsmSim(PwmNode):
         self._feedback_out.publish(self._feedback.to_bytes())
         if self._decimation and k % self._decimation == 0:
             self._state_out.publish(self._state.to_bytes())
+        if self._faults[0] != self._seen_faults:
+            self.tell_status()
 
     def on_stall(self, seconds: float) -> None:
         """Send the last sample again: whoever came after it was sent has not got it."""
@@ -214,12 +221,12 @@ class PmsmSim(PwmNode):
         """State of the inverter."""
         if self.period < 0:
             return
-        self._tell_status()
-        st = self.core.st[0]
-        tripped = bool(st["tripped"])
+        self.tell_status()
+        st, tripped = self.core.st[0], self.core.tripped
+        codes = ", ".join(code for code, _, _ in self.core.faults()) or "STO"
         yield Part(
             "inverter",
-            "tripped: COMMAND_LOST" if tripped else "gates on" if st["gates_on"] else "gates off",
+            f"tripped: {codes}" if tripped else "gates on" if st["gates_on"] else "gates off",
             Level.ERROR if tripped else Level.OK,
             {
                 "missed commands": int(st["missed"]),
@@ -230,19 +237,27 @@ class PmsmSim(PwmNode):
             },
         )
 
-    def _tell_status(self) -> None:
-        """Publish `drive_status` if it has changed."""
-        tripped = bool(self.core.st["tripped"][0])
-        state = "tripped" if tripped else "running" if self.active else "ready"
-        enabled = bool(self.core.st["gates_on"][0])
-        if (state, enabled) == self._told:
+    def tell_status(self) -> None:
+        """Publish `drive_status` if it has changed, and say what faults are new."""
+        core = self.core
+        self._seen_faults = int(self._faults[0])
+        state = "tripped" if core.tripped else "running" if self.active else "ready"
+        enabled = bool(core.st["gates_on"][0])
+        faults = core.faults()
+        if (state, enabled, faults) == self._told:
             return
-        self._told = (state, enabled)
+        self._told = (state, enabled, faults)
+        self._stops.log()
         status = DriveStatus(
             period=max(self.period, 0), node=self.get_name(), state=state, enabled=enabled
         )
         stamp = self._feedback.fixed["stamp"][0]
         status.stamp.sec, status.stamp.nanosec = int(stamp["sec"]), int(stamp["nanosec"])
+        period_ns = int(core.par["period_ns"][0])
+        for code, period, detail in faults:
+            fault = DriveFault(code=code, detail=detail, period=period)
+            fault.stamp.sec, fault.stamp.nanosec = divmod(period * period_ns, 1_000_000_000)
+            status.faults.append(fault)
         self._status_out.publish(status)
 
 

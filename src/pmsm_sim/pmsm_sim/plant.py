@@ -244,6 +244,15 @@ class Plant:
         """Safe torque off: block the gates until they are cleared."""
         self.st["tripped"] = True
 
+    def slow_down(self) -> None:
+        """The inverter alone cannot ramp a motor down: as `stop`."""
+        self.stop()
+
+    @property
+    def tripped(self) -> bool:
+        """Whether the gates are off until `clear_faults`."""
+        return bool(self.st["tripped"][0])
+
     def clear_faults(self) -> list[str]:
         """Forget the latched faults; returns those whose cause lasts, and then clears none.
 

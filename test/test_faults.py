@@ -1,0 +1,113 @@
+"""Faults on the graph: seen, told, latched, cleared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+import rclpy
+from harness import Process, until
+from mfpcc_msgs.msg import DriveStatus, DutyCommand
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
+
+Start = Callable[..., Process]
+
+
+class Operator:
+    """Watches the drive's status, calls its services and sets its parameters."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(args=[], context=self.context)
+        self.node = Node("operator", context=self.context)
+        self.status: dict[str, DriveStatus] = {}
+        self.enabled: bool | None = None
+        latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.node.create_subscription(DriveStatus, "drive_status", self._on_status, latest)
+        self.node.create_subscription(DutyCommand, "duty_command", self._on_command, 10)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def _on_status(self, message: DriveStatus) -> None:
+        self.status[message.node] = message
+
+    def _on_command(self, message: DutyCommand) -> None:
+        self.enabled = message.enable
+
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        def holds() -> bool:
+            self.executor.spin_once(timeout_sec=0.05)
+            return condition()
+
+        until(holds, what)
+
+    def codes(self, node: str) -> list[str]:
+        status = self.status.get(node)
+        return [fault.code for fault in status.faults] if status else []
+
+    def state(self, node: str) -> str:
+        return self.status[node].state if node in self.status else ""
+
+    def call(self, node: str, name: str) -> Trigger.Response:
+        client = self.node.create_client(Trigger, f"/{node}/{name}")
+        future = client.call_async(Trigger.Request()) if client.wait_for_service(60.0) else None
+        assert future is not None, f"no service {name}"
+        self.until(future.done, f"{name} answers")
+        return future.result()
+
+    def set(self, node: str, name: str, value: object) -> None:
+        service = SetParametersAtomically
+        client = self.node.create_client(service, f"/{node}/set_parameters_atomically")
+        assert client.wait_for_service(60.0)
+        wish: ParameterMessage = Parameter(name, value=value).to_parameter_msg()
+        future = client.call_async(service.Request(parameters=[wish]))
+        self.until(future.done, f"{name} is set")
+        assert future.result().result.successful
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+
+@pytest.fixture
+def operator(domain: int) -> Iterator[Operator]:
+    it = Operator()
+    yield it
+    it.close()
+
+
+def test_a_fault_is_told_and_power_returns_only_by_request_and_from_zero(
+    start: Start, operator: Operator
+) -> None:
+    slowly = ("-p", "real_time_factor:=0.02", "-p", "inverter.command_loss_limit:=1000000")
+    plant = start("pmsm_sim", "pmsm_sim", "--ros-args", *slowly)
+    start("mfpcc_controller", "controller", "--ros-args", "-p", "speed_ref_rpm:=200.0")
+    operator.until(lambda: operator.enabled is True, "the drive is enabled")
+
+    operator.set("pmsm_sim", "dc_voltage", 420.0)
+    operator.until(lambda: operator.codes("pmsm_sim") == ["DC_OVERVOLTAGE"], "the fault is told")
+    assert operator.state("pmsm_sim") == "tripped"
+    plant.wait_for("DC_OVERVOLTAGE in period")
+    answer = operator.call("pmsm_sim", "clear_faults")
+    assert not answer.success and "DC_OVERVOLTAGE" in answer.message
+    operator.set("pmsm_sim", "dc_voltage", 311.0)
+    operator.until(lambda: operator.call("pmsm_sim", "clear_faults").success, "it is cleared")
+    assert operator.codes("pmsm_sim") == []
+
+    assert operator.call("mfpcc_controller", "sto").success
+    operator.until(lambda: operator.enabled is False, "the controller is disabled")
+    assert operator.call("mfpcc_controller", "clear_faults").success
+    operator.enabled = None
+    operator.until(lambda: operator.enabled is not None, "the loop goes on")
+    assert operator.enabled is False, "the reference has not been at zero"
+    operator.set("mfpcc_controller", "speed_ref_rpm", 0.0)
+    operator.until(lambda: operator.enabled is True, "power returns")
+    operator.until(lambda: operator.status["pmsm_sim"].enabled, "and reaches the gates")
+    assert plant.output.count("DC_OVERVOLTAGE in period") == 1
