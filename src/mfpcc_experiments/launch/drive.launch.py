@@ -44,8 +44,8 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "parameters",
                 default_value="",
-                description="Parameter file for both nodes, e.g. one of `ros2 param dump`; "
-                "arguments go before it",
+                description="Parameter file, with the nodes' names as keys, e.g. of "
+                "`ros2 param dump`; the arguments here go before it",
             ),
             DeclareLaunchArgument(
                 "record",
@@ -79,7 +79,7 @@ def drive(context: LaunchContext) -> list[Node]:
         for table in (PLANT, CONTROLLER)
     )
     if given["record"]:
-        plant["recorders"] = 1  # the first period waits for it
+        plant["recorders"] = controller["recorders"] = 1  # the first period waits for it
     file = [given["parameters"]] if given["parameters"] else []
     if file and not Path(file[0]).is_file():
         raise RuntimeError(f"{file[0]}: no such parameter file")

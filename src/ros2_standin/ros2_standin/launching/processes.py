@@ -319,7 +319,7 @@ class Supervisor:
         self._running.remove(process)
         process.report()
         for action in process.action.on_exit:
-            if isinstance(action, Shutdown) and self._stage == 0:
+            if isinstance(action, Shutdown):
                 required = f"process[{process.label}] was required: shutting down launched system"
                 log("INFO", "launch", required)
             action.visit(self._context)
