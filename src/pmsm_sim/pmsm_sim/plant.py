@@ -463,7 +463,8 @@ def _set_model(par: np.void) -> None:
     R = par["R_s"] + max(par["switch_resistance"], par["diode_resistance"])
     rates = [
         R / min(par["L_d"], par["L_q"]),
-        par["filter_rate"],
+        # its error stays in the measurement
+        0.25 * par["filter_rate"],
         par["brake_rate"],
         (par["B"] + (par["coulomb"] + _brake_torque(par)) / STANDSTILL) / par["J"],
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from mfpcc_msgs.msg import DriveState, PhaseFeedback
@@ -71,3 +73,9 @@ class Bench:
 def bench():
     """The class `Bench`."""
     return Bench
+
+
+@pytest.fixture
+def unprotected(bench):
+    """`Bench` without the inverter's protection, for runs far from what a drive would allow."""
+    return partial(bench, fault_react=False)

@@ -20,6 +20,11 @@ from motulator.drive.utils._parameters import SynchronousMachinePars
 _LEVELS = 2**12
 
 
+@pytest.fixture
+def bench(unprotected):
+    return unprotected
+
+
 class _Replay:
     """Stands for its control system: gives the duties, and notes the state at each half period."""
 

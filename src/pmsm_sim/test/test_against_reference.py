@@ -16,6 +16,11 @@ MACHINES = {
 }
 
 
+@pytest.fixture
+def bench(unprotected):
+    return unprotected
+
+
 class CurrentLoop:
     """A plain PI current controller with speed loop, so that the run is closed-loop.
 

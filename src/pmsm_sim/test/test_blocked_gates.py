@@ -8,6 +8,11 @@ import pytest
 _RPM = 2.0 * np.pi / 60.0
 
 
+@pytest.fixture
+def bench(unprotected):
+    return unprotected
+
+
 def test_currents_end_and_stay_away(bench):
     drive = bench(initial_speed_rpm=750.0, i_dq=(0.0, 5.0), oversampling=20).run(50, enable=False)
     i = drive.waveform

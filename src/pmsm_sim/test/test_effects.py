@@ -13,6 +13,11 @@ from pwm_node.parameters import ParameterError
 _RPM = 2.0 * np.pi / 60.0
 
 
+@pytest.fixture
+def bench(unprotected):
+    return unprotected
+
+
 def _feedback(drive, name="i_a"):
     return np.array([row[name] for row in drive.feedback])
 
@@ -227,6 +232,7 @@ _CONDITIONS = {
     "dc_link.chopper_on": {"dc_link_chopper_on": 340.0, "dc_link_chopper_off": 300.0},
     "dc_link.grid_resistance": {"dc_voltage": 305.0},
     "dc_voltage": {"dc_link_kind": "stiff"},
+    "inverter.command_loss_limit": {"fault_react": True},
     "load.speed_rpm": {"load_kind": "speed"},
 }
 

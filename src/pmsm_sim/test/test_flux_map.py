@@ -25,11 +25,18 @@ def _file(psi_d=None, psi_q=None, **changes):
         "source": "",
         "i_d": _GRID.tolist(),
         "i_q": _GRID.tolist(),
-        "psi_d": (psi_d or (lambda d, q: 0.1 + 2e-3 * d + 0.0 * q))(i_d, i_q).tolist(),
-        "psi_q": (psi_q or (lambda d, q: 4e-3 * q + 0.0 * d))(i_d, i_q).tolist(),
-        **changes,
+        "psi_d": (psi_d or _linear_d)(i_d, i_q).tolist(),
+        "psi_q": (psi_q or _linear_q)(i_d, i_q).tolist(),
     }
-    return FluxMapFile(**values)
+    return FluxMapFile(**{**values, **changes})
+
+
+def _linear_d(i_d, i_q):
+    return 0.1 + 2e-3 * i_d + 0.0 * i_q
+
+
+def _linear_q(i_d, i_q):
+    return 4e-3 * i_q + 0.0 * i_d
 
 
 def test_a_map_that_is_not_monotone_is_refused_with_the_place():
@@ -52,7 +59,7 @@ def test_a_grid_without_zero_or_negative_i_q_is_refused():
     ("changes", "said"),
     [
         ({"i_d": [0.0, 1.0, 1.0, 2.0]}, "increase"),
-        ({"psi_q": [[0.0]]}, "9 rows"),
+        ({"i_d": [-1.0, 0.0, 1.0, 2.0]}, "4 rows"),
         ({"i_q": [0.0, float("nan"), 1.0, 2.0]}, "finite"),
     ],
 )

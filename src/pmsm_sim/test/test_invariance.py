@@ -7,6 +7,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+
+@pytest.fixture
+def bench(unprotected):
+    return unprotected
+
+
 # Effects that treat all phases and both directions alike
 SYMMETRIC = {
     "none": {},

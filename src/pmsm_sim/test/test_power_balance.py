@@ -7,6 +7,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+
+@pytest.fixture
+def bench(unprotected):
+    return unprotected
+
+
 STORED = ("field", "capacitor", "kinetic", "shaft", "cogging")
 LOST = ("inverter", "copper", "iron", "friction", "chopper", "load")
 

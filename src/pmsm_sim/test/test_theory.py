@@ -11,6 +11,11 @@ _RPM = 2.0 * np.pi / 60.0
 _SHIFT = np.array([0.0, 2.0, 4.0]) * np.pi / 3.0
 
 
+@pytest.fixture
+def bench(unprotected):
+    return unprotected
+
+
 @pytest.fixture(params=[False, True], ids=["ideal", "general"])
 def drive_of(request, bench):
     """Makes drives of both models."""
