@@ -32,6 +32,7 @@ demo: build  ## one experiment with three schemes, recorded and compared: out/de
 
 .PHONY: test
 test: build  ## all tests; with ARGS='-k wire' those that you name
+	@$(SET_UP) bench  # the plant is held against the peer that the benches measure
 	$(IN_ENVIRONMENT) python -m pytest $(ARGS)
 
 .PHONY: bench

@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PYTHON_PACKAGES = sorted(file.parent.name for file in ROOT.glob("src/*/setup.py"))
 OURS = (*PYTHON_PACKAGES, "mfpcc_msgs", "mfpcc_config")
 FROM_ROS = get_packages_with_prefixes().keys()
-# rosdep knows no key for these; they come from requirements/run.txt alone.
-WITHOUT_KEY = ("lz4", "mcap", "rosbags", "zstandard")
+# rosdep knows no key for these; they come from requirements/run.txt and bench.txt alone.
+WITHOUT_KEY = ("lz4", "mcap", "motulator", "rosbags", "zstandard")
 # The package of configuration files is used by name, and imported by nobody; what launch files
 # import, they import where they are launched.
 USED_BY_NAME = {"pwm_node": {"mfpcc_config"}, "mfpcc_experiments": {"launch", "launch_ros"}}

@@ -12,11 +12,14 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from mfpcc_msgs.msg import DriveFault, DriveState, DriveStatus, DutyCommand, PhaseFeedback
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
 
 from pmsm_sim.parameters import TABLE
 from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
@@ -27,6 +30,7 @@ from pwm_node.stops import Stops
 from pwm_node.wire import Wire, WireError
 
 _LOOK_EVERY = 0.01  # s
+_ROTOR_RATE = 100.0  # Hz of simulated time
 _START_CONTROLLER = "ros2 run mfpcc_controller controller"
 
 
@@ -69,6 +73,9 @@ class PmsmSim(PwmNode):
         self._command_in = self.create_loop_subscription(
             DutyCommand, "duty_command", self._on_command, start=_START_CONTROLLER
         )
+        self._rotor_every = max(round(self.values["pwm_frequency"] / _ROTOR_RATE), 1)
+        self._clock_out = self.create_publisher(ClockMessage, "/clock", 10)
+        self._rotor_out = self.create_publisher(JointState, "joint_states", 10)
         self._status_out = self.create_publisher(
             DriveStatus,
             "drive_status",
@@ -117,7 +124,8 @@ class PmsmSim(PwmNode):
         self._set_pace(None)
         self._drop_begin()
         self._stops.destroy()
-        self.destroy_publisher(self._status_out)
+        for publisher in (self._clock_out, self._rotor_out, self._status_out):
+            self.destroy_publisher(publisher)
 
     # The period -----------------------------------------------------------------------------
 
@@ -173,8 +181,24 @@ class PmsmSim(PwmNode):
         self._feedback_out.publish(self._feedback.to_bytes())
         if self._decimation and k % self._decimation == 0:
             self._state_out.publish(self._state.to_bytes())
+        if k % self._rotor_every == 0:
+            self._tell_others()
         if self._faults[0] != self._seen_faults:
             self.tell_status()
+
+    def _tell_others(self) -> None:
+        """Publish the simulated time and the rotor, for nodes that are not on the loop."""
+        stamp, state = self._feedback.fixed["stamp"][0], self._state.fixed
+        now = Time(sec=int(stamp["sec"]), nanosec=int(stamp["nanosec"]))
+        self._clock_out.publish(ClockMessage(clock=now))
+        rotor = JointState(
+            name=["rotor"],
+            position=[float(state["angle"][0])],
+            velocity=[float(state["speed"][0])],
+            effort=[float(state["torque"][0])],
+        )
+        rotor.header.stamp = now
+        self._rotor_out.publish(rotor)
 
     def on_stall(self, seconds: float) -> None:
         """Send the last sample again: whoever came after it was sent has not got it."""
