@@ -1,0 +1,143 @@
+"""The drive as it is measured: its two nodes, run for so many periods."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import rclpy
+import yaml
+from ament_index_python.packages import get_package_prefix
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from mfpcc_controller.node import MfpccController
+from pmsm_sim.node import PmsmSim
+from pwm_node import spin
+from pwm_node.node import PwmNode
+
+#: The operating point of every measurement: 750 r/min, 2 N m, noisy current sensors.
+PLANT = {"load_torque": 2.0, "initial_speed_rpm": 750.0, "noise.current_rms": 0.0245}
+CONTROLLER = {"scheme": "mls_mfpcc", "speed_ref_rpm": 750.0}
+
+
+class TimedPlant(PmsmSim):
+    """The plant; notes when the first period begins and when the last one is answered."""
+
+    begin = end = 0.0
+
+    def _begin_when_heard(self) -> None:
+        self.begin = time.perf_counter()  # the last time is the one that counts
+        super()._begin_when_heard()
+
+    def finish(self) -> None:
+        """Note the end."""
+        self.end = time.perf_counter()
+        super().finish()
+
+    def period_us(self) -> float:
+        """Time of one period (us)."""
+        if not self.end:
+            raise RuntimeError(f"the drive stopped at period {self.period}")
+        return (self.end - self.begin) / self.period * 1e6
+
+
+@contextlib.contextmanager
+def graph() -> Iterator[rclpy.Context]:
+    """A context of its own for one run."""
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield context
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def plant(context: rclpy.Context, periods: int, **more: Any) -> TimedPlant:
+    """The plant at the operating point; it ends the run after so many periods."""
+    return TimedPlant(
+        context=context, parameter_overrides=_overrides({**PLANT, "periods": periods, **more})
+    )
+
+
+def controller(context: rclpy.Context) -> MfpccController:
+    """The controller at the operating point."""
+    return MfpccController(context=context, parameter_overrides=_overrides(CONTROLLER))
+
+
+def composed(
+    periods: int, serve: Callable[[Sequence[PwmNode]], None] | None = None
+) -> tuple[TimedPlant, MfpccController]:
+    """Run both nodes in this process over real topics, as the executable `drive` does.
+
+    Parameters
+    ----------
+    periods : int
+    serve : callable, optional
+        Runs the nodes to the end, instead of `pwm_node.spin.run`.
+    """
+    with graph() as context:
+        nodes = (plant(context, periods), controller(context))
+        if serve is None:
+            spin.run(nodes, until=Future())
+        else:
+            serve(nodes)
+        for node in nodes:
+            node.destroy_node()
+    return nodes
+
+
+def on_single_threaded_executor(nodes: Sequence[PwmNode]) -> None:
+    """Serve the nodes with rclpy's default executor."""
+    executor = SingleThreadedExecutor(context=nodes[0].context)
+    for node in nodes:
+        executor.add_node(node)
+        node.trigger_configure()
+    for node in reversed(nodes):
+        node.trigger_activate()
+    executor.spin_until_future_complete(nodes[0].finished)
+    executor.shutdown()
+
+
+class Separate(NamedTuple):
+    """What a run in two processes showed."""
+
+    period_us: float
+    start_s: float  # from the start of the controller's process to its first command
+
+
+def separate(periods: int, folder: Path) -> Separate:
+    """Run the plant in this process and the controller in another."""
+    with graph() as context:
+        node = plant(context, periods)
+        started = time.perf_counter()
+        with running("mfpcc_controller", "controller", CONTROLLER, folder):
+            spin.run([node], until=Future())
+        node.destroy_node()
+    return Separate(node.period_us(), node.begin - started)
+
+
+@contextlib.contextmanager
+def running(
+    package: str, executable: str, values: Mapping[str, Any], folder: Path
+) -> Iterator[subprocess.Popen[bytes]]:
+    """An executable of the workspace with these parameters, as `ros2 run` starts it."""
+    file = folder / f"{executable}.yaml"
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(values)}}))
+    program = Path(get_package_prefix(package), "lib", package, executable)
+    command = [str(program), "--ros-args", "--params-file", str(file)]
+    with subprocess.Popen(command, start_new_session=True) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+
+
+def _overrides(values: Mapping[str, Any]) -> list[Parameter]:
+    return [Parameter(name, value=value) for name, value in values.items()]

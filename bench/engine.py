@@ -1,0 +1,112 @@
+"""The in-process engine: the whole loop compiled, without ROS."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from figures import Figure, figure, interleaved
+
+from mfpcc_controller.drive import Controller
+from mfpcc_experiments.engine import Engine, step_time
+from mfpcc_experiments.scenario import Scenario
+from pwm_node import yaml_files
+
+_SCHEMES = ("mfpcc", "mls_mfpcc", "neso_mfpcc")
+_MOTULATOR = Path(__file__).with_name("motulator_drive.py")
+_NEEDS_MOTULATOR = "motulator is not installed (`make bench` does it; needs Python 3.12)"
+
+
+def measure(*, quick: bool) -> list[Figure]:
+    """Speed against real time and motulator; a step against that of the simplest scheme."""
+    rounds = 2 if quick else 5
+    seconds = 1.0 if quick else 5.0
+    measures = {
+        "plain": _real_time_factor(0, seconds),
+        "oversampled": _real_time_factor(20, seconds),
+    }
+    if motulator := _has_motulator():
+        measures["motulator"] = lambda: _motulator_factor(0.05 if quick else 0.2)
+    factors = interleaved(rounds, **measures)
+    steps = interleaved(4 * rounds, **{scheme: _step_us(scheme, seconds) for scheme in _SCHEMES})
+    name = "in-process engine, steady_750_2, mls_mfpcc"
+    return [
+        figure(name, factors["plain"], "x", "real time", 1.0, bar="ratio >= 100"),
+        figure(
+            "the same, 20 points of the waveform per period",
+            factors["oversampled"],
+            "x",
+            "real time",
+            1.0,
+            bar="ratio >= 40",
+        ),
+        figure(
+            name,
+            factors["plain"],
+            "x",
+            "motulator, switching level, same motor and carrier",
+            factors["motulator"],
+            bar="ratio >= 1000",
+        )
+        if motulator
+        else figure(name, factors["plain"], "x", _NEEDS_MOTULATOR),
+        figure(
+            "one step of mls_mfpcc inside the compiled loop",
+            steps["mls_mfpcc"],
+            "us",
+            "mfpcc (seven candidates)",
+            steps["mfpcc"],
+            bar="ratio <= 1.09",
+        ),
+        figure(
+            "one step of neso_mfpcc inside the compiled loop",
+            steps["neso_mfpcc"],
+            "us",
+            "mfpcc (seven candidates)",
+            steps["mfpcc"],
+        ),
+    ]
+
+
+def _engine(scheme: str, oversampling: int) -> Engine:
+    scenario = yaml_files.load(yaml_files.find("experiments", "steady_750_2"), Scenario)
+    plant, controller = scenario.node_parameters(scheme, 0)
+    return Engine({**plant, "oversampling": oversampling}, controller)
+
+
+def _real_time_factor(oversampling: int, seconds: float) -> Callable[[], float]:
+    engine = _engine("mls_mfpcc", oversampling)
+    for _ in engine.run(100):  # kernels compiled or loaded
+        pass
+
+    def factor() -> float:
+        begin = time.perf_counter()
+        for _ in engine.run(round(seconds * 10_000)):
+            pass
+        return seconds / (time.perf_counter() - begin)
+
+    return factor
+
+
+def _step_us(scheme: str, seconds: float) -> Callable[[], float]:
+    engine = _engine(scheme, 0)
+    samples = np.concatenate([trace.feedback for trace in engine.run(round(seconds * 10_000))])
+    return lambda: step_time(Controller(engine.controller.values), samples)["median"]
+
+
+def _has_motulator() -> bool:
+    probe = [sys.executable, "-c", "import motulator"]
+    return subprocess.run(probe, capture_output=True, check=False).returncode == 0
+
+
+def _motulator_factor(seconds: float) -> float:
+    """Simulated over wall-clock time of motulator, in a process of its own."""
+    command = [sys.executable, str(_MOTULATOR), str(seconds)]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    if answer.returncode:
+        raise RuntimeError(f"motulator failed: {answer.stderr.strip().splitlines()[-1]}")
+    return seconds / float(answer.stdout)

@@ -1,0 +1,106 @@
+"""What somebody outside sees of a running drive, and sets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from harness import PATIENCE, until
+from mfpcc_msgs.msg import DriveState, LutDiagnostics, PhaseFeedback
+from rcl_interfaces.msg import ParameterType, SetParametersResult
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+
+
+class Outside:
+    """A node of another process: listens to a drive, and sets its parameters.
+
+    Attributes
+    ----------
+    period : int
+        Period of the last sample seen, -1 before the first.
+    state : DriveState, optional
+        The last one seen.
+    scheme : str
+        Who controls, by the last `lut_diagnostics` seen.
+    """
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(args=[], context=self.context)
+        self.node = Node("outside", context=self.context)
+        self.period = -1
+        self.state: DriveState | None = None
+        self.scheme = ""
+        self._parts: dict[str, dict[str, str]] = {}
+        subscribe = self.node.create_subscription
+        subscribe(PhaseFeedback, "phase_feedback", self._on_feedback, 1)
+        subscribe(DriveState, "drive_state", self._on_state, 1)
+        subscribe(LutDiagnostics, "lut_diagnostics", self._on_lut, 1)
+        subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._clients: dict[str, AsyncParameterClient] = {}
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def _on_feedback(self, message: PhaseFeedback) -> None:
+        self.period = message.period
+
+    def _on_state(self, message: DriveState) -> None:
+        self.state = message
+
+    def _on_lut(self, message: LutDiagnostics) -> None:
+        self.scheme = message.scheme
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for part in message.status:
+            self._parts[part.name] = {item.key: item.value for item in part.values}
+
+    def look(self) -> None:
+        """Take in what came; returns after 20 ms if nothing does."""
+        self.executor.spin_once(timeout_sec=0.02)
+
+    def diagnostic(self, part: str, key: str) -> float:
+        """A value of the latest `/diagnostics`, NaN before the first."""
+        return float(self._parts.get(part, {}).get(key, "nan"))
+
+    def until_beyond(self, period: int, what: str) -> None:
+        """Wait for a sample after a period."""
+
+        def seen() -> bool:
+            self.look()
+            return self.period > period
+
+        until(seen, what)
+
+    def set(self, node: str, **values: Any) -> list[SetParametersResult]:
+        """Set parameters of a node (a dot in a name is written as two underscores)."""
+        parameters = [
+            Parameter(name.replace("__", "."), value=value) for name, value in values.items()
+        ]
+        return self._answer(self._client(node).set_parameters(parameters)).results
+
+    def get(self, node: str, name: str) -> Any:
+        """Value of a parameter of a node."""
+        values = self._answer(self._client(node).get_parameters([name])).values
+        assert values[0].type != ParameterType.PARAMETER_NOT_SET, name
+        return parameter_value_to_python(values[0])
+
+    def _client(self, node: str) -> AsyncParameterClient:
+        if node not in self._clients:
+            self._clients[node] = AsyncParameterClient(self.node, node)
+            assert self._clients[node].wait_for_services(PATIENCE), f"/{node} is not there"
+        return self._clients[node]
+
+    def _answer(self, future: Any) -> Any:
+        self.executor.spin_until_future_complete(future, timeout_sec=PATIENCE)
+        assert future.done(), f"no answer within {PATIENCE:.0f} s"
+        return future.result()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
