@@ -481,6 +481,7 @@ class Controller:
         cfg["mfpcc_update"] = MFPCC_UPDATES.index(values["mfpcc.update"])
         cfg["mfpcc_u_min"] = values["mfpcc.u_min"]
         cfg["mfpcc_refresh"] = values["mfpcc.refresh"]
+        cfg["two_vector_u_min"] = values["mfpcc_two_vector.u_min"]
         cfg["neso_w_o"] = values["neso.bandwidth"]
         cfg["ultra_w_o"] = values["ultra_local.bandwidth"]
         cfg["smo_k"] = values["smo.gain"]
@@ -575,6 +576,7 @@ class Controller:
         cfg["mls_eta_span"] = values["mls.eta_max"] - values["mls.eta_min"]
         cfg["mls_e_0_sq"] = values["mls.e_0"] ** 2
         cfg["mls_e_max_sq"] = (values["mls.g_max"] / max(values["mls.eta_max"], 1e-9)) ** 2
+        cfg["mls_inverter"] = values["mls.compensate_inverter"]
         cfg["mls_mu"] = values["mls.map_rate"]
         cfg["mls_gamma"] = cfg["T_s"] / values["mls.map_memory"]
         if "mls.window" in changes or "mls.beta" in changes:

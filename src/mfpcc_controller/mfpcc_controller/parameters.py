@@ -208,6 +208,12 @@ TABLE = Table(
             minimum=1e-3,
             maximum=10.0,
         ),
+        Parameter(
+            "mls.compensate_inverter",
+            False,
+            "mls_mfpcc learns what dead time and on-state voltages take from the inverter's legs, "
+            "and adds it",
+        ),
         Parameter("mfpcc.update", "linear", "How mfpcc keeps its table", choices=MFPCC_UPDATES),
         Parameter(
             "mfpcc.u_min",
@@ -225,8 +231,16 @@ TABLE = Table(
             maximum=100_000,
         ),
         Parameter(
+            "mfpcc_two_vector.u_min",
+            50.0,
+            "A voltage change smaller than this teaches mfpcc_two_vector no gain",
+            unit="V",
+            minimum=0.0,
+            maximum=1e3,
+        ),
+        Parameter(
             "neso.bandwidth",
-            1_200.0,
+            800.0,
             "Bandwidth of the observer of neso_mfpcc",
             unit="rad/s",
             minimum=1.0,
@@ -258,7 +272,7 @@ TABLE = Table(
         ),
         Parameter(
             "pi.bandwidth",
-            2_500.0,
+            2_000.0,
             "Bandwidth of the current control of pi_foc",
             unit="rad/s",
             minimum=1.0,

@@ -59,10 +59,12 @@ CONTROL_CFG = np.dtype(
         ("mls_e_max_sq", np.float64),  # (g_max / eta_max)^2 (A^2)
         ("mls_mu", np.float64),
         ("mls_gamma", np.float64),
+        ("mls_inverter", np.bool_),  # whether to compensate what the inverter's legs lose
         # MFPCC
         ("mfpcc_update", np.int64),  # position in parameters.MFPCC_UPDATES
         ("mfpcc_u_min", np.float64),  # (V)
         ("mfpcc_refresh", np.uint64),  # periods
+        ("two_vector_u_min", np.float64),  # (V)
         # observers of NESO-MFPCC and of the ultra-local schemes
         ("neso_w_o", np.float64),  # (rad/s)
         ("ultra_w_o", np.float64),
@@ -105,6 +107,17 @@ OUTPUT = np.dtype(
     align=True,
 )
 
+#: See `leg_drop`
+DROP_MEMORY = np.dtype(
+    [
+        ("volts", np.float64),  # lost in each leg (V)
+        ("effect", np.complex128),  # of 1 V (A, dq), its mean and mean square deviation
+        ("mean", np.complex128),
+        ("variance", np.float64),
+    ],
+    align=True,
+)
+
 MLS_MEMORY = np.dtype(
     [
         ("ready", np.bool_),  # the look-up table holds something
@@ -140,6 +153,7 @@ MLS_MEMORY = np.dtype(
         # 1 / (sin(60 degrees) |u_j|), for the u_dc it was computed for
         ("per_volt", np.float64),
         ("u_dc", np.float64),
+        ("drop", DROP_MEMORY),
         # self-commissioning
         ("stage", np.int64),
         ("dwell", np.float64),

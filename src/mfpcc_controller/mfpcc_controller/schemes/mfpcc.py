@@ -69,16 +69,16 @@ def initialise(cfg, mem):
 
 
 @kernel
-def update_linear(cfg, mem):
+def update_linear(mem, u_min):
     """Gains from the last two increments, entries from the gains."""
     lut = mem.mfpcc
     di = mem.i_dq - mem.i_dq_past
     u = scaled(mem.u_dc, mem.past.u * mem.turn_past)
     if lut.history:
         d_di, d_u = di - lut.di_prev, u - lut.u_prev
-        if abs(d_u.real) >= cfg.mfpcc_u_min:
+        if abs(d_u.real) >= u_min:
             lut.gain_d = d_di.real / d_u.real
-        if abs(d_u.imag) >= cfg.mfpcc_u_min:
+        if abs(d_u.imag) >= u_min:
             lut.gain_q = d_di.imag / d_u.imag
         gain_d, gain_q = lut.gain_d, lut.gain_q
         g_0 = complex(di.real - gain_d * u.real, di.imag - gain_q * u.imag)
@@ -116,7 +116,7 @@ def update(cfg, mem):
     if not mem.contiguous:
         lut.history = False
     elif cfg.mfpcc_update == _LINEAR:
-        update_linear(cfg, mem)
+        update_linear(mem, cfg.mfpcc_u_min)
     else:
         _update_last(mem)
 

@@ -26,7 +26,7 @@ def step(cfg, mem):
         mfpcc.initialise(cfg, mem)
         lut.history = False
     if mem.contiguous:
-        mfpcc.update_linear(cfg, mem)
+        mfpcc.update_linear(mem, cfg.two_vector_u_min)
     else:
         lut.history = False
     g = lut.g

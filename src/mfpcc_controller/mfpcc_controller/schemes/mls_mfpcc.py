@@ -41,7 +41,7 @@ import math
 
 import numpy as np
 
-from mfpcc_controller import search
+from mfpcc_controller import leg_drop, search
 from mfpcc_controller.diagnostics import NEVER, show_gradients, show_shares
 from mfpcc_controller.vectors import (
     ACTIVE_LENGTH,
@@ -254,6 +254,13 @@ def _begin(cfg, mem):
 
 
 @kernel
+def _lost(cfg, lut, i_dq, turn):
+    """Response (A) to 1 V lost in each leg, with the current i_dq in the middle of a period."""
+    s = leg_drop.signs(cfg, i_dq * turn.conjugate())
+    return -_response(lut, s * turn)
+
+
+@kernel
 def step(cfg, mem):
     """Learn from the last error, predict k + 1, reach the reference at k + 2."""
     lut = mem.mls
@@ -269,13 +276,20 @@ def step(cfg, mem):
         if mem.contiguous:
             _begin(cfg, mem)
     else:
+        if cfg.mls_inverter:
+            leg_drop.learn(cfg, lut.drop, mem.e - lut.e_mean, mem.u_dc)
         _learn(cfg, mem)
 
     u_dq = scaled(mem.u_dc, mem.now.u * mem.turn_now)
     lut.u_dq = u_dq
     turn = cfg.T_s * mem.w_m
     i_1 = mem.i_dq + lut.g_0 + _turned(turn, mem.i_dq) + _response(lut, u_dq)
+    if cfg.mls_inverter:
+        lut.drop.effect = _lost(cfg, lut, mem.i_dq, mem.turn_now)
+        i_1 += scaled(lut.drop.volts, lut.drop.effect)
     x = mem.i_dq_ref - i_1 - lut.g_0 - _turned(turn, i_1)
+    if cfg.mls_inverter:
+        x -= scaled(lut.drop.volts, _lost(cfg, lut, i_1, mem.turn_next))
     u_1 = scaled(ACTIVE_LENGTH * mem.u_dc, mem.turn_next)
     search.choose(cfg, x, _response(lut, u_1), _response(lut, next_vector(u_1)), mem.next)
     mem.i_hat = i_1
