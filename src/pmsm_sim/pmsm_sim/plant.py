@@ -477,7 +477,7 @@ def _set_model(par: np.void) -> None:
         rates.append(par["shaft_damping"] * slowness)
         rates.append(_brake_torque(par) / STANDSTILL / par["J_load"])
     # the derivatives of a flux map's spline jump from cell to cell
-    longest = 0.03 if par["saturates"] else 0.125
+    longest = 0.02 if par["saturates"] else 0.125
     par["h_general"] = min(longest * par["T_s"], _STEP_PER_TIME_CONSTANT / max(rates))
 
 
