@@ -1,0 +1,146 @@
+"""The report of `mfpcc reproduce`: one HTML file that needs nothing but itself."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from mfpcc_experiments import scenario
+from mfpcc_experiments.compare import COLUMNS, text
+from mfpcc_experiments.measured import scheme_title
+from mfpcc_experiments.reproduce import (
+    CONFIRMED,
+    DIFFERS,
+    FITTED,
+    NOT_CONFIRMED,
+    TIMES,
+    Results,
+    Statement,
+)
+
+_RANK = (CONFIRMED, DIFFERS, NOT_CONFIRMED)
+
+
+def render(
+    results: Results,
+    said: Sequence[Statement],
+    figures: Sequence[tuple[str, Path, str]],
+    *,
+    engine: str,
+    seed: int,
+) -> str:
+    """
+    Make the report.
+
+    Parameters
+    ----------
+    results : Results
+        The runs.
+    said : sequence of Statement
+        What the paper says of them.
+    figures : sequence of (str, Path, str)
+        From `paper_figures.draw`.
+    engine : str
+        What the runs were made with.
+    seed : int
+        Seed of all noise.
+
+    Returns
+    -------
+    str
+        A complete HTML page.
+    """
+    templates = Path(__file__).parent / "templates"
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(templates),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    groups = _grouped(said)
+    parts = ", ".join(title for title, _ in groups)
+    return environment.get_template("reproduce.html").render(
+        subtitle=f"{parts} · engine {engine} · seed {seed}",
+        note=FITTED,
+        counts=counts(said),
+        said=groups,
+        total=len(said),
+        figures=[
+            (caption, path.name, base64.b64encode(path.read_bytes()).decode("ascii"))
+            for _, path, caption in figures
+        ],
+        tables=_tables(results),
+        times=_times(results),
+        made=_made(results, engine),
+        style=(templates / "report.css").read_text(encoding="utf-8"),
+    )
+
+
+def counts(said: Sequence[Statement]) -> list[tuple[str, int]]:
+    """How many statements have each verdict."""
+    return [(verdict, sum(s.verdict == verdict for s in said)) for verdict in _RANK]
+
+
+def _grouped(said: Sequence[Statement]) -> list[tuple[str, list[dict[str, Any]]]]:
+    """Statements by figure, in the order they come."""
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for s in said:
+        title = "Computing times" if s.figure == "times" else f"Figure {s.figure}"
+        groups.setdefault(title, []).append({**asdict(s), "rank": _RANK.index(s.verdict)})
+    return list(groups.items())
+
+
+def _tables(results: Results) -> list[tuple[str, str, list[Any], list[str]]]:
+    """One table of metrics per experiment, one column per scheme."""
+    tables = []
+    for experiment in dict.fromkeys(run.experiment for run in results.runs):
+        runs = [run for run in results.runs if run.experiment == experiment]
+        lines = []
+        for title, unit, key, _ in COLUMNS:
+            cells = [text(run.row, key, unit) for run in runs]
+            # the time of a step is measured apart
+            if key[0] != "step_time_us" and any(cell != "–" for cell in cells):
+                lines.append((title, unit, cells))
+        begin, end = runs[0].row["window_s"]
+        description = f"{scenario.load(experiment).description}. From {begin:g} to {end:g} s."
+        tables.append((experiment, description, lines, [scheme_title(run.scheme) for run in runs]))
+    return tables
+
+
+def _times(results: Results) -> list[tuple[str, str, str, str, str]]:
+    if not results.times:
+        return []
+    lines = []
+    for scheme, ours in sorted(results.times.items(), key=lambda item: item[1]):
+        published = TIMES.get(scheme)
+        lines.append(
+            (
+                scheme_title(scheme),
+                "–" if published is None else f"{published:.0f} µs",
+                f"{ours:.3f} µs",
+                "–" if published is None else f"{published / TIMES['mfpcc']:.2f}",
+                f"{ours / results.times['mfpcc']:.2f}",
+            )
+        )
+    return lines
+
+
+def _made(results: Results, engine: str) -> str:
+    how = {
+        "ros": "both nodes on a real ROS 2 graph, every message recorded",
+        "inprocess": "the same plant and controller code as the nodes', without the graph",
+    }[engine]
+    periods = sum(run.row["periods"] for run in results.runs)
+    lost = sum(run.row["lost_periods"] for run in results.runs)
+    return (
+        f"{len(results.runs)} runs, {periods} periods of the PWM, {lost} of them lost; engine "
+        f"'{engine}': {how}. The recordings lie beside this page, one folder per experiment: "
+        "'mfpcc compare' and 'mfpcc replay' take them. Current sensors with 20 mA rms of noise on "
+        "i_d and i_q, ideal encoder and inverter: the paper's are not known."
+    )

@@ -1,0 +1,135 @@
+"""`mfpcc reproduce`: every figure and number of the paper, ours beside the published ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from mfpcc_experiments.verbs.run import ENGINES
+
+if TYPE_CHECKING:
+    from mfpcc_experiments.reproduce import Statement
+
+
+@click.command(short_help="Every figure and number of the paper, ours beside the published.")
+@click.option(
+    "--figure",
+    "figures",
+    multiple=True,
+    metavar="6|7|8|9|10",
+    help="Only this figure; may be given several times.  [default: all, and the computing times]",
+)
+@click.option(
+    "--engine",
+    default="inprocess",
+    show_default=True,
+    metavar="|".join(ENGINES),
+    help="Real nodes on a real graph, or the same plant and schemes without ROS.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/reproduce"),
+    show_default=True,
+    help="Folder for recordings and results.",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all noise."
+)
+@click.option("--force", is_flag=True, help="Replace results that are there already.")
+def command(figures: tuple[str, ...], engine: str, out: Path, seed: int, force: bool) -> None:
+    """Run the paper's experiments, and hold what it says of them against what ours show.
+
+    The folder then holds report.html, the figures, statements.json, metrics.json and all
+    recordings. It takes a minute; with --engine ros two or three.
+    """
+    from mfpcc_experiments import reproduce
+    from mfpcc_experiments.result_folder import result_folder
+    from pwm_node.names import unknown
+
+    context = click.get_current_context()
+    for figure in figures:
+        if figure not in reproduce.FIGURES:
+            raise click.UsageError(unknown("figure", figure, reproduce.FIGURES), context)
+    if engine not in ENGINES:
+        raise click.UsageError(unknown("engine", engine, ENGINES), context)
+    wanted = tuple(figure for figure in reproduce.FIGURES if figure in figures or not figures)
+    with result_folder(out, force=force) as folder:
+        said = _reproduce(wanted, engine, seed, folder, timed=not figures)
+    _show(said)
+    click.echo(f"report: {out / 'report.html'}")
+
+
+def _reproduce(
+    figures: Sequence[str], engine: str, seed: int, folder: Path, *, timed: bool
+) -> list[Statement]:
+    """Run, measure, draw and write, with a progress bar."""
+    import json
+
+    from mfpcc_experiments import paper_figures, reproduce, reproduce_report, run, scenario
+    from mfpcc_experiments.compare import write_whole
+    from mfpcc_experiments.progress import progress_bar
+    from pwm_node import compiled
+
+    runs, pairs = [], reproduce.plan(figures)
+    with progress_bar() as begin:
+        compiled.announce()  # above the bar, which stands still meanwhile
+        tell = begin("run", len(pairs))
+        for n, (experiment, scheme) in enumerate(pairs):
+            wanted = scenario.load(experiment)
+            run.run(
+                wanted,
+                scheme,
+                engine,
+                folder / experiment,
+                seed,
+                lambda done, n=n, total=wanted.periods: tell(n + done / total),  # type: ignore[misc]
+            )
+            runs.append(reproduce.measure(experiment, scheme, folder / experiment / scheme))
+        times = {}
+        if timed:
+            bag = folder / "steady_750_2" / "mls_mfpcc"
+            times = reproduce.step_times(bag, begin("times", 1.0))
+        results = reproduce.Results(runs, times)
+        said = reproduce.statements(results, figures)
+        tell = begin("figures", len(figures))
+        (folder / "figures").mkdir()
+        drawn = []
+        for entry in paper_figures.draw(results, figures, folder / "figures"):
+            drawn.append(entry)
+            tell(figures.index(entry[0]) + 1)
+        write_whole(
+            folder / "report.html",
+            reproduce_report.render(results, said, drawn, engine=engine, seed=seed),
+        )
+        write_whole(folder / "statements.json", reproduce.to_json(results, said) + "\n")
+        rows = [measured.row for measured in runs]
+        write_whole(folder / "metrics.json", json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
+    return said
+
+
+def _show(said: Sequence[Statement]) -> None:
+    """Print the statements, and how many are confirmed."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from mfpcc_experiments.reproduce import FITTED
+    from mfpcc_experiments.reproduce_report import counts
+
+    colours = {"confirmed": "green", "differs": "yellow", "not confirmed": "red"}
+    table = Table(box=None, pad_edge=False, header_style="bold", expand=True)
+    table.add_column("", justify="right", width=5)
+    table.add_column("the paper", ratio=5)
+    table.add_column("published", ratio=2)
+    table.add_column("ours", ratio=3)
+    table.add_column("", width=13)
+    for s in said:
+        verdict = f"[{colours[s.verdict]}]{s.verdict}[/]"
+        table.add_row(s.figure, s.says, s.published, s.ours, verdict)
+    console = Console(highlight=False)
+    console.print(table)
+    click.echo(", ".join(f"{verdict} {count}" for verdict, count in counts(said)))
+    click.echo(FITTED)
