@@ -25,6 +25,7 @@ from pmsm_sim.bridge import (
     solve,
     without_floating,
 )
+from pmsm_sim.ideal import MOST_STEPS
 from pmsm_sim.inverter import leg_gate, remember_gates, switching_instants
 from pmsm_sim.mechanics import cogging, friction, load_torque
 from pmsm_sim.records import FIRST_ENERGY, INTEGRATED, LOAD_KINDS, N_INTEGRATED
@@ -218,7 +219,8 @@ def _longest_step(par, st, y):
     if par.iron_conductance > 0.0 and floating_leg(st.bridge) != NONE_FLOATS:
         # the field of a floating leg dies away within L G
         h = min(h, 0.5 * min(par.L_d, par.L_q) * par.iron_conductance)
-    return h
+    # beyond that no drive makes sense, and a run must end
+    return max(h, par.T_s / MOST_STEPS)
 
 
 @kernel
@@ -306,7 +308,11 @@ def _end(par, st, y):
     st.i_d, st.i_q, st.w_M = y[_I_D], y[_I_Q], y[_W_M]
     st.u_dc, st.w_L, st.twist = y[_U_DC], y[_W_L], y[_TWIST]
     st.tau_brake = y[_BRAKE]
-    st.i_f_alpha, st.i_f_beta = y[_I_F_ALPHA], y[_I_F_BETA]
+    if par.filter_rate > 0.0:
+        st.i_f_alpha, st.i_f_beta = y[_I_F_ALPHA], y[_I_F_BETA]
+    else:
+        # where a low-pass would begin that is switched on later
+        st.i_f_alpha, st.i_f_beta = st.electric.i_alpha, st.electric.i_beta
     for n in range(N_INTEGRATED - FIRST_ENERGY):
         st.energy[n] += y[FIRST_ENERGY + n]
     remember_gates(par, st)

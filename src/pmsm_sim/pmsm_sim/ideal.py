@@ -22,6 +22,9 @@ from pwm_node.compiled import kernel
 # below 1e-9 A per period and the polynomials of `small_rotation` below rounding error.
 MAX_STEP_ANGLE = 0.06
 
+# Of one interval: more is needed only far beyond any drive, and a run must end.
+MOST_STEPS = 2_000
+
 # Up to these lengths of a step (in periods) order 3 and 4 are enough; beyond, it is 5.
 _ORDER_3 = 0.04
 _ORDER_4 = 0.2
@@ -184,6 +187,7 @@ def integrate_ideal(par, st, c, s, i_abc, legs_out):
         steps = 1
         if h > h_max or h * abs(w_m) > MAX_STEP_ANGLE:
             steps = math.ceil(max(h / h_max, h * abs(w_m) / MAX_STEP_ANGLE))
+            steps = min(max(steps, 1), MOST_STEPS)
             h /= steps
         order = 3 if h < _ORDER_3 * T_s else 4 if h < _ORDER_4 * T_s else 5
         for _ in range(steps):

@@ -59,6 +59,20 @@ def test_bandwidth_delays_the_current(bench):
     assert late == pytest.approx(1.0 / (2.0 * np.pi * 10e3), rel=0.25)
 
 
+def test_a_low_pass_switched_on_while_running_begins_at_the_current(bench):
+    drive = bench(inverter_dead_time=1e-6, i_dq=(3.0, 0.0)).run(20, (0.55, 0.5, 0.45))
+    drive.plant.apply({"sensor.current_bandwidth": 20e3})
+    drive.run(2, (0.55, 0.5, 0.45))
+    assert _feedback(drive)[-1] == pytest.approx(_feedback(drive)[-3], abs=0.5)
+
+
+def test_a_run_ends_even_when_it_makes_no_sense(bench):
+    drive = bench(motor="maxon_ec45flat_30w_12v", load_torque=-1e4)
+    drive.run(300)
+    drive.run(100, enable=False)
+    assert drive.st["period"][0] == 400
+
+
 def test_sampling_lead(bench):
     """Currents sampled half a period early are those of the middle of the period before."""
     drive = bench(sensor_sampling_lead=0.5, oversampling=10, i_dq=(1.0, 0.0))

@@ -1,0 +1,24 @@
+"""The proofs of `docs/validation.md`, over a shorter time."""
+
+from __future__ import annotations
+
+from mfpcc_experiments import cli, validation
+
+
+def test_all_limits_are_kept_and_all_figures_drawn(tmp_path, capsys):
+    assert cli.run(["validate", "--out", str(tmp_path), "--duration", "0.002", "--no-costs"]) == 0
+    assert "EXCEEDED" not in capsys.readouterr().out
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "blocked_gates.png",
+        "dc_link.png",
+        "dead_time.png",
+        "integration.png",
+        "power_balance.png",
+        "saturation.png",
+    }
+
+
+def test_every_effect_can_be_timed():
+    costs = validation.costs(repeats=1, periods=5)
+    assert costs.keys() == validation.EFFECTS.keys()
+    assert all(cost > 0.0 for cost in costs.values())
