@@ -245,8 +245,9 @@ def _fluxes(sheet: Sheet, n_p: int) -> list[tuple[str, str, float]]:
         how = f"{sheet.ke:.4g} V s ({sheet.ke_voltage}) x {_EMF[sheet.ke_voltage]:.4g} / n_p"
         found.append(("kE", how, psi))
     if sheet.kt is not None:
-        psi = sheet.kt / (1.5 * n_p * _CURRENT[sheet.kt_current])
-        how = f"{sheet.kt:.4g} N m/A ({sheet.kt_current}) / (1.5 n_p {_CURRENT[sheet.kt_current]:.4g})"
+        amplitude = _CURRENT[sheet.kt_current]
+        psi = sheet.kt / (1.5 * n_p * amplitude)
+        how = f"{sheet.kt:.4g} N m/A ({sheet.kt_current}) / (1.5 n_p {amplitude:.4g})"
         found.append(("kT", how, psi))
     if sheet.kv is not None:
         psi = 1.0 / (sheet.kv * math.sqrt(3.0) * n_p)
