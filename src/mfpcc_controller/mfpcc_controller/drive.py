@@ -534,6 +534,7 @@ class Controller:
         cfg["sum_rate"] = 1.0 - math.exp(-T_s / _SUM_TIME)
         cfg["jump"] = 1.5 * w_M_max * T_s + values["fault.encoder_jump"]
         cfg["overspeed"] = values["fault.overspeed"] * w_M_max * est_par.n_p
+        cfg["stored"] = 0.75 * max(est_par.L_d, est_par.L_q) / T_s
         cfg["copper"] = 2.0 * 1.5 * est_par.R_s
         cfg["torque_per_ampere"] = 1.5 * est_par.psi_f
         cfg["power_rate"] = 1.0 - math.exp(-T_s / _POWER_TIME)
@@ -578,6 +579,7 @@ class Controller:
         cfg["mls_e_max_sq"] = (values["mls.g_max"] / max(values["mls.eta_max"], 1e-9)) ** 2
         cfg["mls_inverter"] = values["mls.compensate_inverter"]
         cfg["mls_mu"] = values["mls.map_rate"]
+        cfg["mls_settle"] = cfg["T_s"] / _HASTE_TIME
         cfg["mls_gamma"] = cfg["T_s"] / values["mls.map_memory"]
         if "mls.window" in changes or "mls.beta" in changes:
             # the sums belong to the old window
@@ -590,6 +592,9 @@ class Controller:
 #: Filters of the sum of the phase currents, and of the powers that SPINOUT compares (s)
 _SUM_TIME = 1e-3
 _POWER_TIME = 5e-3
+
+#: Time in which mls_mfpcc comes to learn its map faster, and slower again (s)
+_HASTE_TIME = 0.02
 
 #: Bandwidth of field weakening (rad/s): slower than the current, faster than the speed
 _WEAKENING_BANDWIDTH = 100.0

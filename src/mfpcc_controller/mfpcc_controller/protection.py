@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from mfpcc_controller.observer import wrapped
-from mfpcc_controller.vectors import square
+from mfpcc_controller.vectors import scaled, square
 from pwm_node.compiled import kernel
 
 #: The controller's faults; the position is the bit in `GUARD_MEMORY.faults`.
@@ -51,6 +51,8 @@ _OVERSPEED_TIME = 2e-3
 # So far (rad) must the rotor have turned while the encoder stood still; a coarse one has steps.
 _FROZEN = 0.05
 _SPINOUT_POWER = 10.0  # W, of both signs
+# Voltage that dead time and on-state voltages may take from the inverter's, over u_dc
+_INVERTER = 0.04
 
 
 @kernel
@@ -142,13 +144,17 @@ def _watch_encoder(cfg, mem, angle):
 def _watch_power(cfg, mem):
     """Air-gap power by the voltage against that by the angle: they agree unless the angle lies.
 
-    Twice the copper loss of the motor file is left out, so that a warm winding while braking is no
-    fault.
+    Not counted are what the current stores in the inductance (a step of the current takes and
+    gives kilowatts for a few periods), what the inverter may lose, and twice the copper loss of the
+    motor file: a reversal, or braking with a warm winding, is no fault.
     """
     guard = mem.guard
-    loss = cfg.copper * square(mem.i_dq)
-    u_dq = mem.now.u * mem.turn_now
-    electrical = 1.5 * mem.u_dc * (u_dq.real * mem.i_dq.real + u_dq.imag * mem.i_dq.imag) - loss
+    u_dq = mem.past.u * mem.turn_past
+    i_dq = scaled(0.5, mem.i_dq + mem.i_dq_past)
+    taken = 1.5 * mem.u_dc * (u_dq.real * i_dq.real + u_dq.imag * i_dq.imag)
+    stored = cfg.stored * (square(mem.i_dq) - square(mem.i_dq_past))
+    size = math.sqrt(square(i_dq))
+    electrical = taken - stored - size * (cfg.copper * size + 1.5 * _INVERTER * mem.u_dc)
     mechanical = cfg.torque_per_ampere * mem.i_dq.imag * mem.w_m
     guard.electrical += cfg.power_rate * (electrical - guard.electrical)
     guard.mechanical += cfg.power_rate * (mechanical - guard.mechanical)
@@ -173,7 +179,7 @@ def watch(cfg, mem, fb):
         guard.fast += cfg.T_s
         if guard.fast > _OVERSPEED_TIME:
             trip(cfg, mem, OVERSPEED, mem.w_m / cfg.n_p)
-    if mem.now.on and mem.consecutive:
+    if mem.past.on and mem.consecutive:
         _watch_power(cfg, mem)
     else:
         guard.electrical = 0.0

@@ -59,6 +59,7 @@ CONTROL_CFG = np.dtype(
         ("mls_e_max_sq", np.float64),  # (g_max / eta_max)^2 (A^2)
         ("mls_mu", np.float64),
         ("mls_gamma", np.float64),
+        ("mls_settle", np.float64),  # share of a period in the time in which mu comes and goes
         ("mls_inverter", np.bool_),  # whether to compensate what the inverter's legs lose
         # MFPCC
         ("mfpcc_update", np.int64),  # position in parameters.MFPCC_UPDATES
@@ -79,6 +80,7 @@ CONTROL_CFG = np.dtype(
         ("sum_rate", np.float64),  # share of a sample in its filter
         ("jump", np.float64),  # largest step of the angle (rad, mechanical)
         ("overspeed", np.float64),  # (rad/s, electrical)
+        ("stored", np.float64),  # 0.75 L / T_s of the motor file: power of a change of |i|^2 (ohm)
         ("copper", np.float64),  # twice 1.5 R_s of the motor file (ohm)
         ("torque_per_ampere", np.float64),  # 1.5 psi_f of the motor file: times w_m, power (V s)
         ("power_rate", np.float64),  # share of a sample in the filter of the powers

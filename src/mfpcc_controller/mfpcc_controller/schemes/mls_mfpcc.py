@@ -13,26 +13,35 @@ turn with the rotor); per volt it does not mind a DC link that sags.
 
 *Learning from the moving part of the voltage.* An error that stays can be the natural entry's or
 the forced ones', and it does not matter whose. An error that moves with the voltage is the map's
-alone. So a second, slow correction fits the map to the deviation v of the voltage from its mean:
+alone. So a second, slow correction fits the map to the deviations v of the voltage and e' of the
+error from their means over some periods:
 
-    m_d <- m_d + k_d e,  m_q <- m_q + k_q e,    k = mu v / (mean |v|^2 + |v|^2)
+    m_d <- m_d + k_d e',  m_q <- m_q + k_q e',    k = mu v / (mean |v|^2 + |v|^2)
 
 with the natural entry moved against it, so that the prediction at the mean voltage stays. What the
 noise of the sensors makes the voltage move is enough to learn from: it finds both inductances of a
-salient machine within some 20 ms, at any speed, and a deadbeat loop with the right gains is
+salient machine within some 50 ms, at any speed, and a deadbeat loop with the right gains is
 quieter. The shares of section 5 alone cannot: they go with the square of the dwell times, which are
-small at low speed.
+small at low speed. While errors are large, mu is ten times as large.
+
+*The turn of the frame.* Of the natural response, -1j omega T_s i is due to the turn of the rotor
+frame alone, and known without a parameter of the motor. The natural entry holds the rest, which
+changes less when the current steps.
 
 *The learning rate* follows the square of the error, `eta_max - (eta_max - eta_min) e_0^2 / (e_0^2 +
 |e|^2)`: of the paper's words (smooth at small errors, rapid at large ones) as true a reading as an
-exponential, and twice as quiet since noise hardly moves it. The second correction fades with the
-same factor: a large error is not about the map.
+exponential, and quieter, since noise hardly moves it.
 
 *The bound* acts on the error as it comes in, so that no correction exceeds g_max and no outlier
 stays in the window.
 
 *Recursive sums.* The weighted sums over the window are carried on from period to period; a limited
 window takes out the sample that leaves it. Without a limit the forgetting factor alone ends it.
+
+*A start without a bump.* At the first sample with a known past, the natural entry is what the last
+increment of the current leaves. An empty table is filled by a few short pulses first.
+
+*The inverter's legs*, an option: see `leg_drop`.
 """
 
 from __future__ import annotations
@@ -63,9 +72,8 @@ _EPS = 1e-6
 # is not its answer.
 _V_SQ_MIN = 1e-5
 
-# A fresh map is learned faster by this factor, which fades within this time (s).
-_RATE_AT_FIRST = 10.0
-_FADING = 0.02
+# A fresh map, and one whose errors stay large, is learned faster by this factor.
+_HASTE = 10.0
 
 
 # Self-commissioning: dwell of the first and the longest pulses, and the answer that is enough,
@@ -107,7 +115,7 @@ def _fill_from_model(cfg, lut):
     """First table: isotropic at the mean inductance of the controller's model, nothing natural."""
     gain = 2.0 * cfg.T_s / (cfg.L_d + cfg.L_q)
     _fill(lut, 0j, complex(gain, 0.0), complex(0.0, gain))
-    lut.rate = cfg.mls_mu * _RATE_AT_FIRST
+    lut.rate = cfg.mls_mu * _HASTE
 
 
 @kernel
@@ -174,9 +182,14 @@ def _learn(cfg, mem):
     e_sq = square(e)
     small = cfg.mls_e_0_sq / (cfg.mls_e_0_sq + e_sq)
     eta = cfg.mls_eta_max - cfg.mls_eta_span * small
+    e_map = e
     if e_sq > cfg.mls_e_max_sq:
         e = scaled(math.sqrt(cfg.mls_e_max_sq / e_sq), e)
         mem.bounded = True
+        if lut.rate < 2.0 * cfg.mls_mu:
+            # a map that is wrong by far makes errors as large; otherwise they are about something
+            # else
+            e_map = e
 
     # shares by type and duration, e_j = e d_j^2 / (1 + d_a^2 + d_b^2), and their weighted sums
     # over the window: sum beta^n d_j e_j, and of the active vectors sum beta^n d_j^2
@@ -211,11 +224,11 @@ def _learn(cfg, mem):
     v_sq = square(v)
     floor = _V_SQ_MIN * mem.u_dc * mem.u_dc
     k = scaled(lut.rate / (floor + lut.u_var + v_sq), v)
-    lut.rate += cfg.T_s / _FADING * (cfg.mls_mu - lut.rate)
+    lut.rate += cfg.mls_settle * (cfg.mls_mu * (_HASTE - (_HASTE - 1.0) * small) - lut.rate)
     lut.u_var += cfg.mls_gamma * (v_sq - lut.u_var)
     lut.u_mean = mean + scaled(cfg.mls_gamma, v)
-    e -= lut.e_mean
-    lut.e_mean += scaled(cfg.mls_gamma, e)
+    e_map -= lut.e_mean
+    lut.e_mean += scaled(cfg.mls_gamma, e_map)
 
     # both into the map: with unit vectors a and b, 60 degrees apart, a voltage u is
     # (u x b) a + (a x u) b over sin 60 degrees
@@ -223,10 +236,10 @@ def _learn(cfg, mem):
     b = next_vector(a)
     fit_d = scaled(b.imag, fit_a) - scaled(a.imag, fit_b)
     fit_q = scaled(a.real, fit_b) - scaled(b.real, fit_a)
-    lut.m_d += scaled(eta, fit_d) + scaled(k.real, e)
-    lut.m_q += scaled(eta, fit_q) + scaled(k.imag, e)
+    lut.m_d += scaled(eta, fit_d) + scaled(k.real, e_map)
+    lut.m_q += scaled(eta, fit_q) + scaled(k.imag, e_map)
     lut.g_0 += scaled(eta * cfg.mls_mean, lut.sum_0)
-    lut.g_0 -= scaled(k.real * mean.real + k.imag * mean.imag, e)
+    lut.g_0 -= scaled(k.real * mean.real + k.imag * mean.imag, e_map)
     lut.learned_at = mem.period
     lut.learned = True
     mem.eta = eta
