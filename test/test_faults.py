@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 import rclpy
@@ -14,7 +15,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosbags.rosbag2 import Reader
 from std_srvs.srv import Trigger
+
+from mfpcc_experiments import run
+from mfpcc_experiments.scenario import Scenario
 
 Start = Callable[..., Process]
 
@@ -111,3 +116,48 @@ def test_a_fault_is_told_and_power_returns_only_by_request_and_from_zero(
     operator.until(lambda: operator.enabled is True, "power returns")
     operator.until(lambda: operator.status["pmsm_sim"].enabled, "and reaches the gates")
     assert plant.output.count("DC_OVERVOLTAGE in period") == 1
+
+
+@pytest.mark.parametrize(
+    "injection",
+    [
+        "0.01 0.01 encoder stuck",
+        "0.01 0.01 duty_link dropped",
+        "0.01 0.01 duty_link garbage",
+        "0.01 0.01 feedback_link delayed",
+        "0.01 0.01 feedback_link intermittent",
+        "0.01 0.01 leg_b off",
+    ],
+)
+def test_an_injected_fault_does_the_same_on_the_graph_as_in_process(
+    injection: str, tmp_path: Path
+) -> None:
+    """The truth of every period is the same, bit for bit, and the run comes to its end."""
+    scenario = Scenario.model_validate(
+        {
+            "name": "injected",
+            "motor": "seed_750",
+            "speed_rpm": 500.0,
+            "duration": 0.03,
+            "window_s": [0.0, 0.03],
+            "plant": {
+                "load_torque": 2.0,
+                "fault_injection": True,
+                "injections": [injection],
+            },
+        }
+    )
+    truth = []
+    for engine in ("inprocess", "ros"):
+        folder = tmp_path / engine
+        run.run(scenario, "mls_mfpcc", engine, folder, 3, lambda done: None)
+        with Reader(folder / "mls_mfpcc") as reader:
+            truth.append(
+                [
+                    bytes(data).rstrip(b"\x00")
+                    for connection, _, data in reader.messages()
+                    if connection.topic == "/drive_state"
+                ]
+            )
+    assert len(truth[0]) == 300
+    assert truth[0] == truth[1]

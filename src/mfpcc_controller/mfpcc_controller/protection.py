@@ -97,6 +97,16 @@ def plausible(cfg, fb):
 
 
 @kernel
+def refuse(cfg, mem):
+    """Count a sample that cannot be true, or that came again or too late."""
+    guard = mem.guard
+    guard.invalid += np.uint64(1)
+    guard.invalid_in_row += 1
+    if guard.invalid_in_row >= 2:
+        trip(cfg, mem, FEEDBACK_INVALID, 0.0)
+
+
+@kernel
 def accept(cfg, mem, fb, step):
     """Return whether the sample, `step` periods after the one before, is to be used."""
     guard = mem.guard
@@ -106,21 +116,9 @@ def accept(cfg, mem, fb, step):
     if plausible(cfg, fb):
         guard.invalid_in_row = 0
         return True
-    guard.invalid += np.uint64(1)
-    guard.invalid_in_row += 1
-    if guard.invalid_in_row >= 2:
-        trip(cfg, mem, FEEDBACK_INVALID, 0.0)
+    guard.angle += mem.w_m * cfg.T_s / cfg.n_p
+    refuse(cfg, mem)
     return False
-
-
-@kernel
-def refuse_stale(cfg, mem):
-    """Count a sample that came twice or too late; it gets no answer of its own."""
-    guard = mem.guard
-    guard.invalid += np.uint64(1)
-    guard.invalid_in_row += 1
-    if guard.invalid_in_row >= 2:
-        trip(cfg, mem, FEEDBACK_INVALID, 0.0)
 
 
 @kernel

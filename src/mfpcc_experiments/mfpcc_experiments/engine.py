@@ -78,7 +78,9 @@ def _loop(par, st, cfg, mem, cmd, feedback, command, lut, state, i_abc, legs):
     for k in range(feedback.shape[0]):
         latch(st, cmd)
         advance(par, st, feedback[k : k + 1], state[k : k + 1], i_abc[k], legs[k])
-        answer(cfg[0], mem[0], feedback[k], cmd[0], lut[k], True)
+        # none or two only where a fault of the link is injected
+        for _ in range(st[0].injector.copies):
+            answer(cfg[0], mem[0], feedback[k], cmd[0], lut[k], True)
         command[k] = cmd[0]
 
 
@@ -98,7 +100,8 @@ def _loop_in_python(
         advance(
             plant.par, plant.st, feedback, trace.state[k : k + 1], trace.i_abc[k], trace.legs[k]
         )
-        controller.step(feedback, cmd, trace.lut[k : k + 1], True)
+        for _ in range(plant.st["injector"]["copies"][0]):
+            controller.step(feedback, cmd, trace.lut[k : k + 1], True)
         trace.command[k] = cmd[0]
 
 

@@ -128,7 +128,7 @@ def leg_gate(par, st, x, t):
 
     After every change of what a leg is told, both its switches are off for the dead time.
     """
-    if not st.gates_on:
+    if not st.gates_on or st.injector.leg_off[x] == 1:
         return 0
     level, began = _told(par, st, x, t)
     if t - began < par.dead_time:

@@ -84,6 +84,8 @@ class PmsmSim(PwmNode):
         self._told: tuple[Any, ...] = ()
         self._stops = Stops(self, "a command that has the gates off, and then one that has them on")
         self._faults = self.core.st["faults"]
+        self._injector = self.core.st["injector"][0]
+        self._injects = bool(self.values["injections"])
         self._seen_faults = 0
 
     def _compile(self) -> None:
@@ -153,6 +155,12 @@ class PmsmSim(PwmNode):
             self._advance()
 
     def _advance(self) -> None:
+        """Run the next period; in lock-step, on to one whose sample can be answered."""
+        self._run_period()
+        while self._injects and self._unanswered() and not self.finished.done():
+            self._run_period()
+
+    def _run_period(self) -> None:
         """Run the next period and publish its sample."""
         k = self.period + 1
         if k == self._periods and self._periods > 0:
@@ -178,13 +186,20 @@ class PmsmSim(PwmNode):
             tail["legs_oversampled"],
         )
         self.period = k
-        self._feedback_out.publish(self._feedback.to_bytes())
+        for _ in range(int(self._injector["copies"]) if self._injects else 1):
+            self._feedback_out.publish(self._feedback.to_bytes())
         if self._decimation and k % self._decimation == 0:
             self._state_out.publish(self._state.to_bytes())
         if k % self._rotor_every == 0:
             self._tell_others()
         if self._faults[0] != self._seen_faults:
             self.tell_status()
+
+    def _unanswered(self) -> bool:
+        """Whether no valid command can follow this sample, by an injected fault of its link."""
+        injector = self._injector
+        lock_step = self.values["real_time_factor"] == 0.0
+        return bool(lock_step and (injector["copies"] == 0 or injector["late"] > 0))
 
     def _tell_others(self) -> None:
         """Publish the simulated time and the rotor, for nodes that are not on the loop."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import cast
 
+from pmsm_sim.injection import InjectionError, parse
 from pmsm_sim.records import PROFILE_SIZE
 from pwm_node.parameters import Parameter, Table, Value
 
@@ -42,7 +43,22 @@ def _check(values: Mapping[str, Value]) -> str | None:
         )
     if number["load.shaft_stiffness"] > 0.0 and number["load.inertia"] == 0.0:
         return "'load.inertia' = 0 is out of range: behind an elastic shaft it must be above 0"
-    return _check_profile(cast("list[float]", values["load.profile"]))
+    return _check_profile(cast("list[float]", values["load.profile"])) or _check_injections(values)
+
+
+def _check_injections(values: Mapping[str, Value]) -> str | None:
+    injections = cast("list[str]", values["injections"])
+    if not injections:
+        return None
+    if not values["fault_injection"]:
+        return "'injections' is refused: faults are injected only with 'fault_injection' = true"
+    if values["dc_link.kind"] == "rectifier" and any("dc_link" in text for text in injections):
+        return "'injections': dc_link fails only where 'dc_link.kind' is stiff"
+    try:
+        parse(injections, 1.0 / cast("float", values["pwm_frequency"]))
+    except InjectionError as error:
+        return f"'injections': {error}"
+    return None
 
 
 def _check_profile(points: list[float]) -> str | None:
@@ -187,6 +203,19 @@ TABLE = Table(
             unit="degC",
             minimum=0.0,
             maximum=500.0,
+        ),
+        Parameter(
+            "fault_injection",
+            False,
+            "Whether faults may be injected at all",
+            read_only=True,
+        ),
+        Parameter(
+            "injections",
+            [],
+            "Faults to inject, each 'START DURATION UNIT TYPE [MAGNITUDE]', times in simulated "
+            "seconds",
+            read_only=True,
         ),
         Parameter(
             "machine.flux_map",

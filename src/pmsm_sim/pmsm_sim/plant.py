@@ -19,6 +19,17 @@ import numpy as np
 from pmsm_sim import flux_map, motor
 from pmsm_sim.general import integrate
 from pmsm_sim.ideal import integrate_ideal
+from pmsm_sim.injection import (
+    FREEZE,
+    LOSE,
+    REPEAT,
+    SHIFT,
+    SPOIL,
+    inject_causes,
+    inject_gates,
+    inject_sample,
+    parse,
+)
 from pmsm_sim.inverter import take_command
 from pmsm_sim.machine import co_energy, flux, torque
 from pmsm_sim.mechanics import STANDSTILL, profile
@@ -47,6 +58,7 @@ from pwm_node.compiled import kernel
 ACCEPTED = 0
 WRONG_PERIOD = 1
 OUT_OF_RANGE = 2
+LOST = 3
 
 _TWO_PI = 2.0 * math.pi
 _RPM = _TWO_PI / 60.0
@@ -62,6 +74,7 @@ def latch(st_, cmd_):
     """Take the command for the period that begins now.
 
     Returns `ACCEPTED`, `WRONG_PERIOD` or `OUT_OF_RANGE`; only an accepted command has an effect.
+    An injected fault can lose one on its way (`LOST`).
     """
     st, cmd = st_[0], cmd_[0]
     if cmd.period == 0:
@@ -69,14 +82,26 @@ def latch(st_, cmd_):
     if cmd.period != st.period or st.latched:
         st.refused += np.uint64(1)
         return WRONG_PERIOD
+    fault = st.injector.duty_link
+    if fault == LOSE:
+        st.refused += np.uint64(1)
+        return LOST
+    if fault == SPOIL:
+        st.refused += np.uint64(1)
+        return OUT_OF_RANGE
     for x in range(3):
         # written so that NaN is out of range
         if not (cmd.duty[x] >= 0.0 and cmd.duty[x] <= 1.0):
             st.refused += np.uint64(1)
             return OUT_OF_RANGE
-    for x in range(3):
-        st.duty[x] = cmd.duty[x]
+    if fault != FREEZE:
+        for x in range(3):
+            st.duty[x] = cmd.duty[x]
     st.enable = cmd.enable
+    if fault == SHIFT:
+        st.duty[0] = min(max(st.duty[0] + st.injector.duty_error, 0.0), 1.0)
+    elif fault == REPEAT:
+        st.refused += np.uint64(1)  # the second of the two
     st.latched = True
     return ACCEPTED
 
@@ -140,15 +165,23 @@ def advance(par_, st_, fb_, ds_, i_abc, legs_out):
     legs_out : uint8 array, shape (n,)
     """
     par, st, fb, ds = par_[0], st_[0], fb_[0], ds_[0]
+    faulty = st.injector.n > 0
+    if faulty:
+        inject_causes(par, st)
     if par.drifts:
         _warm(par, st)
     protect(par, st)
     take_command(par, st)
+    if faulty:
+        inject_gates(par, st)
     theta_m = par.n_p * st.theta_M
     c, s = math.cos(theta_m), math.sin(theta_m)
     _set_stamp(fb.stamp, st.period, par.period_ns)
     _set_stamp(ds.stamp, st.period, par.period_ns)
     sample(par, st, c, s, fb)
+    if faulty:
+        inject_sample(par, st, fb)
+        _set_stamp(fb.stamp, fb.period, par.period_ns)
 
     ds.period = st.period
     ds.i_dq[0] = st.i_d
@@ -158,12 +191,12 @@ def advance(par_, st_, fb_, ds_, i_abc, legs_out):
     ds.angle = st.theta_M
     ds.load_torque = par.tau_L
     ds.dc_voltage = par.u_dc
-    ds.temperature = st.temperature
+    ds.temperature = st.temperature + st.injector.warmth
     ds.gates_on = st.gates_on
     if par.general:
         _describe_general(par, st, c, s, ds)
 
-    if st.gates_on and not par.general:
+    if st.gates_on and not (par.general or st.injector.some_leg_off):
         turn_M, energy = integrate_ideal(par, st, c, s, i_abc, legs_out)
         st.general_before = False
     else:
@@ -220,6 +253,11 @@ class Plant:
         st["w_M"] = values["initial_speed_rpm"] * _RPM
         st["theta_M"] = values["initial_angle"] % _TWO_PI
         st["temperature"] = REFERENCE_TEMPERATURE
+        injections = parse(values["injections"], float(par["T_s"][0]))
+        injector = st["injector"][0]
+        injector["n"] = len(injections)
+        injector["list"][: len(injections)] = injections
+        injector["copies"] = 1
         self.apply({})
 
     def apply(self, changes: Mapping[str, Any]) -> None:
@@ -228,6 +266,7 @@ class Plant:
         par, values = self.par[0], self._values
         for name, field in _DIRECT.items():
             par[field] = values[name]
+        par["tau_set"], par["u_dc_set"] = par["tau_L"], par["u_dc"]
         _set_inverter(par, values)
         _set_protection(par, values, self.motor)
         _set_machine(par, values, self.motor, self._map)

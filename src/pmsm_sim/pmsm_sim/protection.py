@@ -56,8 +56,9 @@ def protect(par, st):
     # before the first command the DC link may still be charging
     if st.armed and not u_dc >= par.limit[DC_UNDERVOLTAGE]:
         trip(par, st, DC_UNDERVOLTAGE, u_dc)
-    if not st.temperature <= par.limit[OVERTEMPERATURE]:
-        trip(par, st, OVERTEMPERATURE, st.temperature)
+    temperature = st.temperature + st.injector.warmth
+    if not temperature <= par.limit[OVERTEMPERATURE]:
+        trip(par, st, OVERTEMPERATURE, temperature)
 
 
 def named(faults: int) -> list[str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pmsm_sim.injection import INJECTOR
 from pmsm_sim.protection import N_FAULTS
 
 # Flux map: most cells along one current, and the spline coefficients they need.
@@ -65,6 +66,9 @@ PLANT_PAR = np.dtype(
         # protection (see `protection`)
         ("react", np.bool_),  # whether a fault blocks the gates
         ("limit", np.float64, (N_FAULTS,)),  # of the quantity that each fault looks at
+        # what load_torque and dc_voltage say, before injected faults
+        ("tau_set", np.float64),  # (N m)
+        ("u_dc_set", np.float64),  # (V)
         # which effects there are; all false: the ideal model, and nothing below is looked at
         ("general", np.bool_),  # what only the general model has
         ("modulator", np.bool_),  # duties are not applied as they come
@@ -215,6 +219,7 @@ PLANT_STATE = np.dtype(
         ("chopping", np.bool_),
         ("temperature", np.float64),  # of winding and magnets (degC)
         ("energy", np.float64, (N_INTEGRATED - FIRST_ENERGY,)),  # (J) since the start
+        ("injector", INJECTOR),
         ("bridge", BRIDGE),
         ("electric", ELECTRIC),
     ],

@@ -1,0 +1,264 @@
+"""The drive against every fault there is, judged by what truly happens in the plant.
+
+Each case injects one fault into a running closed loop and asks, of the truth and not of what the
+drive believes:
+
+- was the fault really there: does the run differ from the same run without it;
+- did the current stay below the trip limit and what one period can add to it;
+- were the gates off in the period of the trip (the inverter's), or in the next (the controller's);
+- did nothing restart by itself after the fault had gone;
+- did the drive find what has to be found, and call it by a name that fits;
+- was every command that left the controller a valid one.
+
+The negative control runs the same cases with the reaction switched off, and has to see damage.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mfpcc_controller.parameters import TABLE as CONTROLLER
+from mfpcc_experiments.engine import Engine
+from pmsm_sim.injection import UNITS
+from pmsm_sim.parameters import TABLE as PLANT
+from pmsm_sim.protection import OVERCURRENT
+
+#: Current amplitude (A) that only a drive without protection reaches: the trip limit of seed_750,
+#: and what one period adds.
+DAMAGE = 22.0
+
+_START, _DURATION, _END = 0.05, 0.1, 0.25  # s
+_NOISE = 0.0245  # A
+
+
+@dataclass(frozen=True)
+class Point:
+    """An operating point: scheme, speed (r/min) and load (N m)."""
+
+    scheme: str
+    speed_rpm: float
+    load: float
+
+    def __str__(self) -> str:
+        return f"{self.scheme} {self.speed_rpm:g} r/min {self.load:g} N m"
+
+
+POINTS = (
+    Point("mls_mfpcc", 750.0, 2.0),
+    Point("mbpcc", 1200.0, 5.0),
+    Point("pi_foc", -300.0, 3.0),
+    Point("mfpcc", 1500.0, 8.0),
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One fault at one operating point."""
+
+    unit: str
+    kind: str
+    point: Point
+
+    @property
+    def injection(self) -> str:
+        """As the plant's parameter wants it."""
+        return f"{_START} {_DURATION} {self.unit} {self.kind}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a case showed.
+
+    Attributes
+    ----------
+    case : Case
+    codes : tuple of str
+        What was latched, in the order of time.
+    tripped_after : float
+        From the start of the fault to gates off (s); NaN without a trip.
+    current : float
+        Largest true current amplitude (A).
+    failures : tuple of str
+        Why the drive has not survived; empty if it has.
+    """
+
+    case: Case
+    codes: tuple[str, ...]
+    tripped_after: float
+    current: float
+    failures: tuple[str, ...]
+
+    @property
+    def survived(self) -> bool:
+        """Whether all was as it must be."""
+        return not self.failures
+
+
+# Names that fit the first thing found. What follows from a fault (a current that runs away) may
+# be seen before the fault itself.
+_LOOP = {"OVERCURRENT", "PREDICTION", "SPINOUT", "SCHEME"}
+_FITTING: dict[str, set[str]] = {
+    "current": {"CURRENT_SUM", "FEEDBACK_INVALID", *_LOOP},
+    "encoder": {"ENCODER", "FEEDBACK_INVALID", "OVERSPEED", *_LOOP},
+    "dc_sensor": {"FEEDBACK_INVALID", *_LOOP},
+    "dc_link": {"DC_OVERVOLTAGE", "DC_UNDERVOLTAGE", *_LOOP},
+    "leg": {*_LOOP},
+    "duty_link": {"COMMAND_LOST", "ENCODER", "OVERSPEED", *_LOOP},
+    "feedback_link": {
+        "COMMAND_LOST",
+        "FEEDBACK_LOST",
+        "FEEDBACK_INVALID",
+        "ENCODER",
+        *_LOOP,
+    },
+    "load": {"OVERSPEED", "ENCODER", *_LOOP},
+    "temperature": {"OVERTEMPERATURE"},
+}
+# What has to be found, whatever the operating point.
+_REQUIRED: dict[tuple[str, str], str] = {
+    ("dc_sensor", "off"): "FEEDBACK_INVALID",
+    ("dc_link", "off"): "DC_UNDERVOLTAGE",
+    ("dc_link", "wrong"): "DC_OVERVOLTAGE",
+    ("dc_link", "slow"): "DC_OVERVOLTAGE",
+    ("duty_link", "off"): "COMMAND_LOST",
+    ("duty_link", "dropped"): "COMMAND_LOST",
+    ("duty_link", "garbage"): "COMMAND_LOST",
+    ("duty_link", "delayed"): "COMMAND_LOST",
+    ("feedback_link", "off"): "COMMAND_LOST",
+    ("feedback_link", "dropped"): "COMMAND_LOST",
+    ("feedback_link", "garbage"): "FEEDBACK_INVALID",
+    ("feedback_link", "delayed"): "FEEDBACK_INVALID",
+    ("feedback_link", "stuck"): "ENCODER",
+    ("temperature", "wrong"): "OVERTEMPERATURE",
+    ("encoder", "stuck"): "ENCODER",
+    ("encoder", "wrong"): "ENCODER",
+    ("encoder", "off"): "ENCODER",
+    ("encoder", "intermittent"): "ENCODER",
+    ("temperature", "slow"): "OVERTEMPERATURE",
+    **{(f"current_{x}", "garbage"): "" for x in "abc"},  # found, under one name or another
+    **{(f"current_{x}", "wrong"): "CURRENT_SUM" for x in "abc"},
+    **{(f"current_{x}", "off"): "CURRENT_SUM" for x in "abc"},
+}
+
+
+def cases(points: Sequence[Point] = POINTS) -> list[Case]:
+    """The whole matrix: every unit with every type it has, at every operating point."""
+    return [
+        Case(unit, kind, point)
+        for point, (unit, kinds) in itertools.product(points, UNITS.items())
+        for kind in kinds
+    ]
+
+
+def judge_all(
+    chosen: Sequence[Case], *, react: bool = True, tell: Callable[[int], None] = lambda n: None
+) -> list[Verdict]:
+    """Run cases one after the other; `tell` is called with the number done."""
+    return list(_judged(chosen, react, tell))
+
+
+def _judged(chosen: Sequence[Case], react: bool, tell: Callable[[int], None]) -> Iterator[Verdict]:
+    unharmed: dict[tuple[Point, str], dict[str, Any]] = {}
+    for number, case in enumerate(chosen, start=1):
+        # a sensor that is slow or stuck shows the truth where the truth is constant
+        supply = "rectifier" if case.unit == "dc_sensor" else "stiff"
+        same = case.point, supply
+        if same not in unharmed:
+            unharmed[same] = _run(case.point, supply, [], react)
+        yield _judge(case, _run(case.point, supply, [case.injection], react), unharmed[same])
+        tell(number)
+
+
+def _run(point: Point, supply: str, injections: list[str], react: bool) -> dict[str, Any]:
+    """Run the closed loop; what truly happened, and what was latched."""
+    plant = PLANT.complete(
+        {
+            "initial_speed_rpm": point.speed_rpm,
+            "load_torque": point.load,
+            "noise.current_rms": _NOISE,
+            "dc_link.kind": supply,
+            "fault_injection": True,
+            "injections": injections,
+            "fault.react": react,
+        }
+    )
+    controller = CONTROLLER.complete(
+        {"scheme": point.scheme, "speed_ref_rpm": point.speed_rpm, "fault.react": react}
+    )
+    engine = Engine(plant, controller)
+    traces = list(engine.run(round(_END * plant["pwm_frequency"])))  # type: ignore[operator]
+    par = engine.plant.par[0]
+    # what a period at full voltage, back-EMF added, can add to the current at its start
+    rise = 1.5 * par["u_dc_set"] / min(par["L_d"], par["L_q"]) * par["T_s"]
+    return {
+        "state": np.concatenate([trace.state for trace in traces]),
+        "feedback": np.concatenate([trace.feedback for trace in traces]),
+        "duty": np.concatenate([trace.command["duty"] for trace in traces]),
+        "refused": int(engine.plant.st["refused"][0]),
+        "invalid": int(engine.controller.mem["guard"]["invalid"][0]),
+        "inverter": engine.plant.faults(),
+        "controller": engine.controller.faults(),
+        "inverter_tripped": engine.plant.tripped,
+        "controller_tripped": engine.controller.tripped,
+        "limit": float(par["limit"][OVERCURRENT] + rise),
+        "T_s": float(par["T_s"]),
+    }
+
+
+def _judge(case: Case, run: dict[str, Any], unharmed: dict[str, Any]) -> Verdict:
+    state, T_s = run["state"], run["T_s"]
+    begin = round(_START / T_s)
+    current = float(np.max(np.hypot(state["i_dq"][:, 0], state["i_dq"][:, 1])))
+    found = sorted(run["inverter"] + run["controller"], key=lambda fault: fault[1])
+    codes = tuple(code for code, _, _ in found)
+    failures = []
+
+    if not _was_there(run, unharmed, begin):
+        failures.append("the fault was not there")
+    if not current <= run["limit"]:
+        failures.append(f"{current:.1f} A, limit {run['limit']:.1f} A")
+    if not (np.isfinite(run["duty"]).all() and np.all(abs(run["duty"] - 0.5) <= 0.5)):
+        failures.append("a command that is not valid left the controller")
+
+    off = np.flatnonzero(~state["gates_on"])
+    tripped = run["inverter_tripped"] or run["controller_tripped"]
+    if tripped:
+        first_off = int(off[0]) if len(off) else len(state)
+        stops = [period for code, period, _ in found if code not in _NO_STOP]
+        latched_at = min(stops, default=first_off)
+        # The command that disables is computed in a period, and acts from the next; if the link
+        # is what fails, the inverter's own limit of missing commands does it.
+        allowed = 11 if case.unit.endswith("_link") else 1
+        if first_off > latched_at + allowed:
+            failures.append(f"gates off {first_off - latched_at} periods after the trip")
+        if state["gates_on"][first_off:].any():
+            failures.append("power returned by itself")
+    elif len(off):
+        failures.append("gates off without a trip")
+
+    fitting = _FITTING[case.unit.rsplit("_", 1)[0] if case.unit[-2] == "_" else case.unit]
+    if codes and codes[0] not in fitting:
+        failures.append(f"{codes[0]} does not fit")
+    required = _REQUIRED.get((case.unit, case.kind))
+    if required is not None and not (required in codes if required else codes):
+        failures.append(f"{required or 'it'} was not found")
+    after = (off[0] - begin) * T_s if tripped and len(off) else float("nan")
+    return Verdict(case, codes, after, current, tuple(failures))
+
+
+# Faults that bring the fallback scheme, and stop only if that fails too.
+_NO_STOP = {"PREDICTION", "SCHEME"}
+
+
+def _was_there(run: dict[str, Any], unharmed: dict[str, Any], begin: int) -> bool:
+    same = all(
+        run[name][begin - 2 :].tobytes() == unharmed[name][begin - 2 :].tobytes()
+        for name in ("state", "feedback")
+    )
+    counted = run["refused"] != unharmed["refused"] or run["invalid"] != unharmed["invalid"]
+    return counted or not same

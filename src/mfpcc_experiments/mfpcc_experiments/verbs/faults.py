@@ -1,0 +1,62 @@
+"""`mfpcc faults`: inject every fault there is, and see whether the drive survives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from mfpcc_experiments.faults import Verdict
+
+
+@click.command()
+@click.option("--unit", default="", help="Only faults of this unit, such as encoder.")
+@click.option("--brief", is_flag=True, help="Show only the cases that were not survived.")
+@click.option("--no-control", is_flag=True, help="Leave out the negative control.")
+def command(unit: str, brief: bool, no_control: bool) -> int:
+    """Inject every fault into the running drive, judged by the truth in the plant.
+
+    Exit code 1 if a case was not survived, or if the negative control (the same faults with the
+    protection switched off) shows no damage.
+    """
+    from mfpcc_experiments import faults
+    from pmsm_sim.injection import UNITS
+    from pwm_node.names import unknown
+
+    if unit and unit not in UNITS:
+        raise click.UsageError(unknown("unit", unit, UNITS))
+    cases = [case for case in faults.cases() if unit in ("", case.unit)]
+    verdicts = faults.judge_all(cases)
+    _show([verdict for verdict in verdicts if not (brief and verdict.survived)])
+    lost = sum(not verdict.survived for verdict in verdicts)
+    click.echo(f"{len(verdicts)} cases, {len(verdicts) - lost} survived")
+    if no_control:
+        return int(lost > 0)
+    unprotected = faults.judge_all(cases, react=False)
+    harmed = [verdict.current for verdict in unprotected if not verdict.current <= faults.DAMAGE]
+    most = f", up to {max(harmed):.0f} A" if harmed else ""
+    click.echo(
+        f"negative control, protection switched off: {len(harmed)} cases beyond "
+        f"{faults.DAMAGE:g} A{most}"
+    )
+    return int(lost > 0 or not (harmed or unit))
+
+
+def _show(verdicts: Sequence[Verdict]) -> None:
+    """Print the table of the cases."""
+    click.echo(
+        f"{'unit':<14}{'fault':<14}{'operating point':<34}{'off after':>10}{'current':>9}  found"
+    )
+    for verdict in verdicts:
+        case = verdict.case
+        after = "-"
+        if verdict.tripped_after == verdict.tripped_after:
+            after = f"{verdict.tripped_after * 1e3:.1f} ms"
+        click.echo(
+            f"{case.unit:<14}{case.kind:<14}{case.point!s:<34}{after:>10}"
+            f"{verdict.current:>7.1f} A  {', '.join(verdict.codes) or '-'}"
+        )
+        for failure in verdict.failures:
+            click.echo(f"    NOT SURVIVED: {failure}")
