@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pwm_node.parameters import ParameterError, Table
-
 if TYPE_CHECKING:
     from mfpcc_experiments.replay import Replay, Samples
+    from pwm_node.parameters import Table
 
 
 @click.command(short_help="Feed a recording's samples to a scheme, open loop.")
@@ -54,6 +53,7 @@ def command(
     from mfpcc_experiments.progress import progress_bar
     from mfpcc_experiments.result_folder import result_folder
     from pwm_node import compiled
+    from pwm_node.parameters import ParameterError
 
     schemes = tuple(dict.fromkeys(schemes)) or SCHEMES
     try:
@@ -84,6 +84,8 @@ def command(
 
 def _change(table: Table, text: str) -> tuple[str, Any]:
     """NAME=VALUE as a name and a value in its parameter's type."""
+    from pwm_node.parameters import ParameterError
+
     name, equals, value = text.partition("=")
     if not equals:
         raise ParameterError(f"'--set {text}': NAME=VALUE is expected")
