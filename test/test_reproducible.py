@@ -42,9 +42,9 @@ def messages(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 
 def recorded(
-    folder: Path, engine: str, seed: int = 3, **options: bool
+    folder: Path, engine: str, seed: int = 3, plan: Scenario | None = None, **options: bool
 ) -> dict[str, list[tuple[int, bytes]]]:
-    run.run(scenario(), "mls_mfpcc", engine, folder, seed, lambda done: None, **options)
+    run.run(plan or scenario(), "mls_mfpcc", engine, folder, seed, lambda done: None, **options)
     return messages(folder / "mls_mfpcc")
 
 
@@ -67,6 +67,15 @@ def test_two_runs_on_the_graph_agree(tmp_path: Path) -> None:
 
 def test_two_processes_agree_with_one(reference: dict[str, list], tmp_path: Path) -> None:
     _same(recorded(tmp_path, "ros", separate=True), reference)
+
+
+def test_graph_and_engine_agree_on_decimated_topics(tmp_path: Path) -> None:
+    plan = scenario().model_copy(
+        update={"plant": {"state_decimation": 10}, "controller": {"diagnostics_decimation": 7}}
+    )
+    graph = recorded(tmp_path / "graph", "ros", plan=plan)
+    _same(graph, recorded(tmp_path / "engine", "inprocess", plan=plan))
+    assert [len(graph[topic]) for topic in TOPICS] == [600, 600, 86, 60]
 
 
 def test_another_seed_is_another_run(reference: dict[str, list], tmp_path: Path) -> None:

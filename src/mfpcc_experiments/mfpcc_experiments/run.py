@@ -106,42 +106,65 @@ def _run_inprocess(config: dict[str, Any], path: Path, periods: int, progress: T
     samples = []
     with BagWriter(path, config=config, oversampling=plant["oversampling"]) as writer:
         for trace in engine.run(periods):
-            write_trace(writer, trace)
+            write_trace(
+                writer,
+                trace,
+                state_every=plant["state_decimation"],
+                lut_every=controller["diagnostics_decimation"],
+            )
             samples.append(trace.feedback)
             progress(engine.period)
         timing = step_time(Controller(controller), np.concatenate(samples))
         writer.close({"step_time_us": timing, "lost_periods": 0})
 
 
-def write_trace(writer: BagWriter, trace: Trace) -> None:
-    """Append a piece of an in-process run to a recording, in the order of the real loop."""
+def write_trace(
+    writer: BagWriter, trace: Trace, *, state_every: int = 1, lut_every: int = 1
+) -> None:
+    """Append a piece of an in-process run to a recording, in the order of the real loop.
+
+    Parameters
+    ----------
+    writer : BagWriter
+        The recording.
+    trace : Trace
+        What passed.
+    state_every, lut_every : int
+        Decimation of `drive_state` and `lut_diagnostics`, as of the nodes' parameters; 0: none.
+    """
+    state = Wire(
+        DriveState,
+        i_abc_oversampled=trace.i_abc.shape[1],
+        legs_oversampled=trace.legs.shape[1],
+    )
+    waveforms: dict[str, NDArray[Any]] = {
+        "i_abc_oversampled": trace.i_abc,
+        "legs_oversampled": trace.legs,
+    }
     streams = (
-        ("phase_feedback", _serialized(Wire(PhaseFeedback), trace.feedback)),
+        ("phase_feedback", trace.feedback, _serialized(Wire(PhaseFeedback), trace.feedback), 1),
         (
             "drive_state",
-            _serialized(
-                Wire(
-                    DriveState,
-                    i_abc_oversampled=trace.i_abc.shape[1],
-                    legs_oversampled=trace.legs.shape[1],
-                ),
-                trace.state,
-                i_abc_oversampled=trace.i_abc,
-                legs_oversampled=trace.legs,
-            ),
+            trace.state,
+            _serialized(state, trace.state, **waveforms),
+            state_every,
         ),
-        ("duty_command", _serialized(Wire(DutyCommand), trace.command)),
-        ("lut_diagnostics", _serialized(_with_scheme(trace.scheme), trace.lut)),
+        ("duty_command", trace.command, _serialized(Wire(DutyCommand), trace.command), 1),
+        (
+            "lut_diagnostics",
+            trace.lut,
+            _serialized(_with_scheme(trace.scheme), trace.lut),
+            lut_every,
+        ),
     )
-    times = {
-        "phase_feedback": stamps(trace.feedback),
-        "drive_state": stamps(trace.state),
-        "duty_command": stamps(trace.command),
-        "lut_diagnostics": stamps(trace.lut),
-    }
-    for k in range(len(trace.feedback)):
-        for topic, messages in streams:
-            writer.write(topic, int(times[topic][k]), next(messages))
+    topics = [
+        (topic, stamps(rows).tolist(), messages, every) for topic, rows, messages, every in streams
+    ]
+    for k, period in enumerate(trace.feedback["period"].tolist()):
+        for topic, times, messages, every in topics:
+            data = next(messages)
+            if every and period % every == 0:
+                writer.write(topic, times[k], data)
 
 
 def stamps(rows: NDArray[np.void]) -> NDArray[np.int64]:
