@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,13 @@ _CHUNK = 4_000
 # Duties that differ by less than this are the same to any inverter (a 32-bit timer at 10 kHz).
 _SAME_DUTY = 1e-9
 
+# In open loop a scheme may predict as badly as it likes, and be asked all the same: neither shall
+# the controller's protection switch the gates off, nor another scheme take over.
+_UNPROTECTED = {
+    "fault.react": False,
+    "fault.prediction_error": TABLE["fault.prediction_error"].maximum,
+}
+
 _COMMAND_FIELDS = ("duty", "vectors", "dwell", "enable")
 
 
@@ -67,12 +74,15 @@ class Replay:
         Leg duties it commanded for the period after the sample (0..1).
     differs : ndarray of bool, shape (n,)
         Whether its command is another than the recorded one; False where none was recorded.
+    fell_back : bool
+        Whether it gave no valid output, and the fallback scheme answered from there on.
     """
 
     scheme: str
     error: NDArray[np.float64]
     duty: NDArray[np.float64]
     differs: NDArray[np.bool_]
+    fell_back: bool = False
 
 
 # --- The loop ------------------------------------------------------------------------------------
@@ -215,6 +225,8 @@ class Samples:
             Told the share that is done, 0 to 1.
         """
         values = {**self.values, **({} if scheme is None else {"scheme": scheme})}
+        if tell:
+            values |= _UNPROTECTED
         controller = Controller(TABLE.complete(values))
         due = schedule.parse(values["schedule"], TABLE, 1.0 / values["pwm_frequency"], values)
         n = len(self.feedback)
@@ -238,7 +250,7 @@ class Samples:
             begin = end
             if progress is not None:
                 progress(begin / n)
-        return result
+        return replace(result, fell_back=controller.fallen)
 
     def _feed_rows(self, controller: Controller, rows: slice, tell: bool, into: Replay) -> None:
         feedback = self.feedback[rows]
@@ -413,7 +425,10 @@ def require_same(samples: Samples, own: Replay) -> None:
         )
     else:
         version = samples.recording.config.get("versions", {}).get("mfpcc_controller", "unknown")
-        why = f"the scheme has changed since (recorded with mfpcc_controller {version})"
+        why = (
+            f"the scheme has changed since (recorded with mfpcc_controller {version}), or the run "
+            "was interfered with: a parameter set, a stop asked for"
+        )
     raise ReplayError(
         f"{samples.recording.path}: {samples.scheme} does not give its recorded commands again: "
         f"{len(rows)} of {int(samples.answered.sum())} differ, first that of period "
@@ -471,6 +486,7 @@ def summary(
         if len(difference)
         else None,
         "first_difference": first,
+        "fell_back": result.fell_back,
     }
 
 

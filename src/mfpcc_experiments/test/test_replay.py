@@ -124,6 +124,18 @@ def test_predictions_are_about_the_output_that_acted(
     assert np.abs(untold.error).max() > 0.4
 
 
+def test_the_scheme_that_is_asked_answers_however_badly_it_predicts(
+    bags: Callable[[str], Path],
+) -> None:
+    """In the drive, protection and fallback would end this."""
+    wrong = {"mismatch.inductance": 0.02, "fault.prediction_error": 0.01}
+    samples = replay.Samples(recording.read(bags("mls_mfpcc")), wrong)
+    result = replay.replay(samples, "mbpcc")
+    assert np.abs(result.error[-50:]).max() > 5.0
+    assert not result.fell_back
+    assert (result.duty[-50:] > 0.0).any()
+
+
 def test_summary_of_a_known_difference(bags: Callable[[str], Path]) -> None:
     read = recording.read(bags("mls_mfpcc"))
     samples = replay.Samples(read)

@@ -146,6 +146,7 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
     recorded = replay.recorded(samples)
     if recorded is not None:
         table.add_row(f"recorded ({samples.recording.scheme_name})", *errors(recorded))
+    notes = []
     for row in rows:
         first = row["first_difference"]
         table.add_row(
@@ -156,6 +157,9 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
             number(row["same_commands_percent"], 1),
             "–" if first is None else str(first),
         )
+        if row["fell_back"]:
+            fallback = samples.values["fallback_scheme"]
+            notes.append(f"{row['scheme']} gave no valid output; {fallback} answered from there on")
     begin, end = rows[0]["window_s"]
     Console(highlight=False).print(table)
     click.echo(
@@ -163,3 +167,5 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
         "of the duties, of the mean voltage, equal commands, and the first period with another one "
         "(of the whole recording)."
     )
+    for note in notes:
+        click.echo(f"note: {note}")
