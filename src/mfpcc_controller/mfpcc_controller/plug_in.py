@@ -10,7 +10,7 @@ from __future__ import annotations
 import abc
 import cmath
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,7 @@ from pwm_node.compiled import kernel
 _SQRT3 = math.sqrt(3.0)
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """
     What a scheme gets to see of one period; `dq` is the rotor frame, amplitude-invariant.
 
@@ -65,8 +64,7 @@ class Sample:
     fresh: bool
 
 
-@dataclass(frozen=True)
-class Output:
+class Output(NamedTuple):
     """
     What the inverter shall do in period k + 1.
 
