@@ -489,6 +489,8 @@ class Controller:
         cfg["pi_alpha"] = values["pi.bandwidth"]
 
     def _choose_scheme(self, name: str) -> None:
+        # also one that failed, chosen again, gets another chance
+        self.mem["chosen"] = -1
         if name in SCHEMES:
             self.cfg["scheme"] = SCHEMES.index(name)
             self._plug_in = None
