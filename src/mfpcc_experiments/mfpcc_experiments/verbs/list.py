@@ -11,13 +11,13 @@ import click
 @click.command()
 def command() -> None:
     """Show the experiments, schemes and motors there are."""
-    from mfpcc_controller.parameters import SCHEMES
+    from mfpcc_controller.parameters import TABLE
     from mfpcc_experiments import scenario
     from pmsm_sim import motor
     from pwm_node import yaml_files
 
     _show("experiments", yaml_files.available("experiments"), scenario.load)
-    _show("schemes", SCHEMES)
+    _show("schemes", TABLE["scheme"].choices)
     _show("motors", yaml_files.available("motors"), motor.load)
 
 
