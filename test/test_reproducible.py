@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import Reader
 
-from mfpcc_experiments import run
+from mfpcc_experiments import recording, run
 from mfpcc_experiments.scenario import Scenario
 
 TOPICS = ("/phase_feedback", "/duty_command", "/lut_diagnostics", "/drive_state")
@@ -76,6 +76,19 @@ def test_graph_and_engine_agree_on_decimated_topics(tmp_path: Path) -> None:
     graph = recorded(tmp_path / "graph", "ros", plan=plan)
     _same(graph, recorded(tmp_path / "engine", "inprocess", plan=plan))
     assert [len(graph[topic]) for topic in TOPICS] == [600, 600, 86, 60]
+
+
+def test_changes_of_parameters_are_kept_in_the_recording(tmp_path: Path) -> None:
+    recorded(tmp_path, "ros")
+    changes = recording.read(tmp_path / "mls_mfpcc").summary["parameter_changes"]
+    told = {(c["period"], c["node"], c["name"], c["value"]) for c in changes}
+    assert told == {
+        (200, "pmsm_sim", "load_torque", 4.0),
+        (200, "mfpcc_controller", "speed_ref_rpm", 700.0),
+        (300, "mfpcc_controller", "scheme", "mfpcc"),
+        (400, "mfpcc_controller", "scheme", "mls_mfpcc"),
+        (400, "mfpcc_controller", "mismatch.inductance", 2.0),
+    }
 
 
 def test_another_seed_is_another_run(reference: dict[str, list], tmp_path: Path) -> None:

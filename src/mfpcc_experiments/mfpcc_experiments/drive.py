@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +97,7 @@ def record_composed(config: Mapping[str, Any], path: Path, periods: int, progres
                     "step_time_us": {"median": median, "p99": p99},
                     "lost_periods": controller.lost_periods,
                     "missed_periods": plant.missed_periods,
+                    "parameter_changes": _changes(nodes),
                     "wall_s": wall,
                 }
             )
@@ -155,7 +156,15 @@ def record_separate(config: Mapping[str, Any], path: Path, periods: int, progres
         if done == periods:
             _take_the_rest(recorder, periods, controller_values["diagnostics_decimation"])
         writer.close(
-            {"gaps": recorder.gaps, "missed_periods": plant.missed_periods, "wall_s": wall}
+            {
+                "gaps": recorder.gaps,
+                "missed_periods": plant.missed_periods,
+                "parameter_changes": [
+                    *_changes([plant]),
+                    *(c for c in recorder.parameter_changes if c["node"] != plant.get_name()),
+                ],
+                "wall_s": wall,
+            }
         )
     _judge(done, periods, "after an error (see above)" if code else watch.trouble)
     lost = {topic: count for topic, count in recorder.gaps.items() if count}
@@ -245,6 +254,11 @@ def _judge(done: int, periods: int, trouble: str) -> None:
         raise DriveError(f"the run ended at period {done} of {periods}: {trouble}")
     if done < periods:
         raise KeyboardInterrupt  # that is how it was stopped
+
+
+def _changes(nodes: Sequence[PwmNode]) -> list[dict[str, Any]]:
+    """Parameters that changed while it ran: period, node, name, value."""
+    return [{"node": node.get_name(), **change} for node in nodes for change in node.changes]
 
 
 def _values(config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -12,9 +12,11 @@ from typing import Any
 import mfpcc_msgs.msg
 import rclpy
 import rclpy.utilities
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
@@ -27,6 +29,8 @@ _KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPo
 # What has come is taken at this interval: to be woken for each message would cost as much again as
 # writing it, and nobody waits for a recorder.
 _TAKE_EVERY = 0.005  # s
+
+_DRIVE_NODES = ("pmsm_sim", "mfpcc_controller")
 
 _STAMP_AND_PERIOD = struct.Struct("<4xiIQ")
 
@@ -62,7 +66,10 @@ class Recorder(Node):
     last_period : dict of int
         Last period seen on each topic, -1 before the first.
     gaps : dict of int
-        Periods missing between messages of each topic.
+        Messages missing on each topic.
+    parameter_changes : list of dict
+        Changed parameters of the drive's nodes (period, node, name, value); the period is that of
+        the last sample seen before.
     """
 
     def __init__(
@@ -71,6 +78,7 @@ class Recorder(Node):
         super().__init__("recorder", **options)
         self.last_period = dict.fromkeys(LOOP_TOPICS, -1)
         self.gaps = dict.fromkeys(LOOP_TOPICS, 0)
+        self.parameter_changes: list[dict[str, Any]] = []
         self._steps: dict[str, int] = {}
         self._inputs: list[tuple[Subscription, Callable[[bytes], None]]] = []
         for topic in topics:
@@ -78,6 +86,7 @@ class Recorder(Node):
             write = self._writing(writer, topic)
             subscription = self.create_subscription(msg_class, topic, write, _KEEP_ALL, raw=True)
             self._inputs.append((subscription, write))
+        self.create_subscription(ParameterEvent, "/parameter_events", self._on_event, 100)
         self.create_timer(_TAKE_EVERY, self.take_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
@@ -94,26 +103,48 @@ class Recorder(Node):
                 write(message[0])
 
     def _writing(self, writer: BagWriter, topic: str) -> Callable[[bytes], None]:
-        last, write, unpack = self.last_period, writer.write, _STAMP_AND_PERIOD.unpack_from
+        last, steps, write = self.last_period, self._steps, writer.write
+        unpack = _STAMP_AND_PERIOD.unpack_from
 
         def on_message(data: bytes) -> None:
             sec, nanosec, period = unpack(data)
             if period == last[topic]:
                 return
-            if last[topic] >= 0 and period != last[topic] + 1:
-                self._count_gap(topic, period)
+            if last[topic] >= 0 and period != last[topic] + steps.get(topic, 0):
+                self._out_of_step(topic, period - last[topic])
             last[topic] = period
             write(topic, sec * 1_000_000_000 + nanosec, data)
 
         return on_message
 
-    def _count_gap(self, topic: str, period: int) -> None:
-        """Count what is missing; a decimated topic steps by more than one from the start."""
-        step = period - self.last_period[topic]
+    def _out_of_step(self, topic: str, step: int) -> None:
+        """Count what is missing; how many periods apart messages are, the first ones tell."""
+        known = self._steps.get(topic)
         if step < 0:
-            self.get_logger().warning(f"{topic}: began anew at period {period}")
-        elif self._steps.setdefault(topic, step) != step:
-            self.gaps[topic] += max(step - self._steps[topic], 0)
+            self.get_logger().warning(f"{topic}: began anew")
+        elif known is None or step < known:
+            if known is not None:
+                self.gaps[topic] += known // step - 1  # so that was a gap
+            self._steps[topic] = step
+        else:
+            self.gaps[topic] += step // known - 1
+
+    def _on_event(self, event: ParameterEvent) -> None:
+        namespace, _, name = event.node.rpartition("/")
+        if name not in _DRIVE_NODES or namespace != self.get_namespace().rstrip("/"):
+            return
+        period = self.last_period["phase_feedback"]
+        for parameter in event.changed_parameters:
+            value = parameter_value_to_python(parameter.value)
+            self.parameter_changes.append(
+                {"period": period, "node": name, "name": parameter.name, "value": value}
+            )
+
+    def destroy_node(self) -> None:
+        """Write what has come until now, and leave the graph."""
+        if self.context.ok():
+            self.take_all()
+        super().destroy_node()
 
 
 def _arguments(argv: list[str]) -> argparse.Namespace:
@@ -144,7 +175,7 @@ def main() -> int:
     if writer is None or recorder is None:
         return code
     try:
-        writer.close({"gaps": recorder.gaps})
+        writer.close({"gaps": recorder.gaps, "parameter_changes": recorder.parameter_changes})
     except BagError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -157,7 +188,7 @@ def _report(last: Mapping[str, int], gaps: Mapping[str, int]) -> int:
         print(f"{topic}: {'nothing' if period < 0 else f'up to period {period}'}")
     lost = {topic: count for topic, count in gaps.items() if count}
     for topic, count in lost.items():
-        print(f"error: {topic}: {count} periods are missing", file=sys.stderr)
+        print(f"error: {topic}: {count} messages are missing", file=sys.stderr)
     return 1 if lost else 0
 
 

@@ -7,6 +7,7 @@ publishes; it counts in `period`, so that the watch can see that the loop goes o
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
@@ -33,6 +34,7 @@ _STALL_STEP = 0.5  # s
 _SILENT_AFTER = 4.0  # s: reported well within 5
 _FLUSH = 4.0  # s: subscribers in other processes confirm every 3 s
 _NEVER = 1 << 63
+_CHANGES_KEPT = 10_000
 
 
 class Core(Protocol):
@@ -75,6 +77,9 @@ class PwmNode(LifecycleNode):
     awaited : LoopSubscription, optional
         The message that lets the loop go on: the first loop subscription, unless set otherwise.
         None while nothing is due, after the end of a run for instance.
+    changes : deque of dict
+        The latest changes of parameters since the start (period, name, value), the scheduled ones
+        too.
     missed_periods, lost_periods : int
         Totals for the diagnostics; the subclass counts.
     finished : Future
@@ -102,6 +107,7 @@ class PwmNode(LifecycleNode):
         self.finished = Future()
         self.period = -1
         self.awaited: LoopSubscription | None = None
+        self.changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES_KEPT)
         self.missed_periods = 0
         self.lost_periods = 0
         self.step_times = StepTimes()
@@ -196,6 +202,8 @@ class PwmNode(LifecycleNode):
         # Callbacks run one after the other, so this is between two periods.
         changes = self._validate(parameters)
         self.values.update(changes)
+        for name, value in changes.items():
+            self.changes.append({"period": self.period + 1, "name": name, "value": value})
         if changes and self.core is not None:
             self.core.apply(changes)
             self.parameters_changed(changes)
