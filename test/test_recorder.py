@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 import rclpy
+from mfpcc_msgs.msg import LutDiagnostics, PhaseFeedback
 
 from mfpcc_experiments.record import Recorder
-from mfpcc_msgs.msg import LutDiagnostics, PhaseFeedback
 from pwm_node.wire import Wire
 
 
