@@ -577,8 +577,10 @@ class Controller:
         cfg["mls_mean"] = 1.0 / weights
         cfg["mls_eta_max"] = values["mls.eta_max"]
         cfg["mls_eta_span"] = values["mls.eta_max"] - values["mls.eta_min"]
-        cfg["mls_e_0_sq"] = values["mls.e_0"] ** 2
-        cfg["mls_e_max_sq"] = (values["mls.g_max"] / max(values["mls.eta_max"], 1e-9)) ** 2
+        by_itself = 0.025 * self.motor.i_max
+        cfg["mls_e_0_sq"] = (values["mls.e_0"] or by_itself) ** 2
+        g_max = values["mls.g_max"] or by_itself
+        cfg["mls_e_max_sq"] = (g_max / max(values["mls.eta_max"], 1e-9)) ** 2
         cfg["mls_inverter"] = values["mls.compensate_inverter"]
         cfg["mls_mu"] = values["mls.map_rate"]
         cfg["mls_settle"] = cfg["T_s"] / _HASTE_TIME

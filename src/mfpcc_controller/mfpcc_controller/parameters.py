@@ -178,16 +178,17 @@ TABLE = Table(
         Parameter("mls.eta_max", 0.5, "Learning rate at large errors", minimum=0.0, maximum=1.0),
         Parameter(
             "mls.e_0",
-            0.3,
-            "Error at which the learning rate is halfway from small to large",
+            0.0,
+            "Error at which the learning rate is halfway from small to large; 0: 2.5 % of the "
+            "motor's current limit",
             unit="A",
-            minimum=1e-6,
+            minimum=0.0,
             maximum=1e3,
         ),
         Parameter(
             "mls.g_max",
-            0.3,
-            "Largest change of a gradient in one period",
+            0.0,
+            "Largest change of a gradient in one period; 0: 2.5 % of the motor's current limit",
             unit="A",
             minimum=0.0,
             maximum=1e3,
