@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import Reader
 
-from mfpcc_experiments import recording, run
+from mfpcc_experiments import recording, replay, run
 from mfpcc_experiments.scenario import Scenario
 
 TOPICS = ("/phase_feedback", "/duty_command", "/lut_diagnostics", "/drive_state")
@@ -89,6 +89,8 @@ def test_changes_of_parameters_are_kept_in_the_recording(tmp_path: Path) -> None
         (400, "mfpcc_controller", "scheme", "mls_mfpcc"),
         (400, "mfpcc_controller", "mismatch.inductance", 2.0),
     }
+    samples = replay.Samples(recording.read(tmp_path / "mls_mfpcc"))
+    replay.require_same(samples, replay.verify(samples))
 
 
 def test_another_seed_is_another_run(reference: dict[str, list], tmp_path: Path) -> None:

@@ -211,6 +211,21 @@ class Samples:
             return f"{recording.lost_periods} periods are missing in the recording"
         return ""
 
+    def _changes(self, values: Mapping[str, Any]) -> list[tuple[int, schedule.Changes]]:
+        """Changes of the controller's parameters by period: those that were recorded.
+
+        A run in process records none, since it has only those of its schedule.
+        """
+        recorded = self.recording.summary.get("parameter_changes")
+        if recorded is None:
+            return schedule.parse(values["schedule"], TABLE, 1.0 / values["pwm_frequency"], values)
+        changes: dict[int, schedule.Changes] = {}
+        for change in recorded:
+            if change["node"] == "mfpcc_controller":
+                of_period = changes.setdefault(change["period"], {})
+                of_period |= TABLE.validate({change["name"]: change["value"]})
+        return sorted(changes.items())
+
     def feed(self, scheme: str | None, *, tell: bool, progress: Progress | None = None) -> Replay:
         """
         Feed all samples to a scheme.
@@ -228,7 +243,7 @@ class Samples:
         if tell:
             values |= _UNPROTECTED
         controller = Controller(TABLE.complete(values))
-        due = schedule.parse(values["schedule"], TABLE, 1.0 / values["pwm_frequency"], values)
+        due = self._changes(values)
         n = len(self.feedback)
         result = Replay(
             scheme=self.scheme if scheme is None else scheme,
