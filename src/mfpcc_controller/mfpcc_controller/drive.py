@@ -9,7 +9,7 @@ measurement records, and nothing else of the plant. Nothing here knows of ROS.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from mfpcc_controller.schemes import (
 )
 from mfpcc_controller.speed_loop import current_reference, mtpa_d
 from mfpcc_controller.vectors import copy_output, leg_duties, set_output
-from pwm_node.compiled import kernel
+from pwm_node.compiled import direct, kernel
 
 _MLS_MFPCC = SCHEMES.index("mls_mfpcc")
 _MFPCC = SCHEMES.index("mfpcc")
@@ -329,6 +329,7 @@ class Controller:
         self.mem["active"] = -1
         self.mem["chosen"] = -1
         self._plug_in: plug_in.Host | None = None
+        self._control: Callable[..., Any] = control
         self.apply(values)
 
     @property
@@ -441,6 +442,15 @@ class Controller:
         """What a plug-in that failed has to say, for people; empty otherwise."""
         return self._plug_in.complaint if self._plug_in is not None else ""
 
+    def bind(
+        self,
+        feedback: NDArray[np.void],
+        command: NDArray[np.void],
+        diagnostics: NDArray[np.void],
+    ) -> None:
+        """Compile, or load, the kernel; from now on `step` is called with these arrays only."""
+        self._control = direct(control, self.cfg, self.mem, feedback, command, diagnostics, True)
+
     def step(
         self,
         feedback: NDArray[np.void],
@@ -451,7 +461,7 @@ class Controller:
         """One period, whoever is in control; parameters as of `control`."""
         host = self._plug_in
         if host is None or _is_stale(self.mem, feedback):
-            control(self.cfg, self.mem, feedback, command, diagnostics, want_diagnostics)
+            self._control(self.cfg, self.mem, feedback, command, diagnostics, want_diagnostics)
             return
         _sample(self.cfg, self.mem, feedback)
         if self.mem["active"][0] >= _BUILT_IN:

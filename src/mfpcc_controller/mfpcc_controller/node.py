@@ -61,13 +61,13 @@ class MfpccController(PwmNode):
 
     def configure(self) -> None:
         """Make the controller and the topics."""
-        self.core = Controller(self.values)
-        self._follow_core()
         self._feedback = Wire(PhaseFeedback)
         self._command = Wire(DutyCommand)
         self._lut = Wire(LutDiagnostics)
-        self._lut.set_string("scheme", self.core.scheme)
         self._compile()
+        self.core = Controller(self.values)
+        self._follow_core()
+        self._lut.set_string("scheme", self.core.scheme)
         self._decimation: int = self.values["diagnostics_decimation"]
         self.period = -1
         self._command_out = self.create_loop_publisher(DutyCommand, "duty_command")
@@ -101,6 +101,7 @@ class MfpccController(PwmNode):
         self._follow_core()
 
     def _follow_core(self) -> None:
+        self.core.bind(self._feedback.fixed, self._command.fixed, self._lut.fixed)
         self.core.enabled = self.active
         self._fallen = self.core.mem["fallen"]
         self._faults = self.core.mem["guard"]["faults"]

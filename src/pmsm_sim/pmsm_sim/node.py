@@ -91,11 +91,18 @@ class PmsmSim(PwmNode):
     def _compile(self) -> None:
         """Compile the kernels, or load them, before a period waits for them."""
         compiled.announce(self.get_logger().info)
-        trial = Plant(self.values)
-        tail = self._state.tail
-        records = self._feedback.fixed, self._state.fixed
-        latch(trial.st, self._command.fixed)
-        advance(trial.par, trial.st, *records, tail["i_abc_oversampled"], tail["legs_oversampled"])
+        core, tail = self.core, self._state.tail
+        # what the kernel reads and writes in each period
+        self._records = (
+            core.par,
+            core.st,
+            self._feedback.fixed,
+            self._state.fixed,
+            tail["i_abc_oversampled"],
+            tail["legs_oversampled"],
+        )
+        self._latch = compiled.direct(latch, core.st, self._command.fixed)
+        self._integrate = compiled.direct(advance, *self._records)
 
     def activate(self) -> None:
         """Let the commands reach the gates; the first time, begin with period 0."""
@@ -138,7 +145,7 @@ class PmsmSim(PwmNode):
         except WireError as error:
             self.get_logger().error(f"duty_command refused: {error}", throttle_duration_sec=1.0)
             return
-        answer = latch(self.core.st, self._command.fixed)
+        answer = self._latch(self.core.st, self._command.fixed)
         if answer == WRONG_PERIOD:
             return  # counted; a repeated or a late one changes nothing
         if answer == OUT_OF_RANGE:
@@ -173,18 +180,9 @@ class PmsmSim(PwmNode):
             return
         if k >= self.next_change:
             self.apply_due(k)
-        core = self.core
         if not self.active:
-            core.st["enable"] = False
-        tail = self._state.tail
-        advance(
-            core.par,
-            core.st,
-            self._feedback.fixed,
-            self._state.fixed,
-            tail["i_abc_oversampled"],
-            tail["legs_oversampled"],
-        )
+            self.core.st["enable"] = False
+        self._integrate(*self._records)
         self.period = k
         for _ in range(int(self._injector["copies"]) if self._injects else 1):
             self._feedback_out.publish(self._feedback.to_bytes())

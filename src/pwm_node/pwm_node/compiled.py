@@ -72,6 +72,27 @@ def kernel(function: Function) -> Function:
         numba_config.CACHE_DIR = before
 
 
+def direct(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
+    """Return a compiled kernel for arguments of exactly these types, to be called many times.
+
+    Where a kernel itself is called, numba looks at the type of every argument first. In a loop that
+    does much else this takes some microseconds, more than the work of a PWM period. Here nothing is
+    looked at: what it is called with must be of the same types as `arguments`, and as writable.
+
+    Parameters
+    ----------
+    function : callable
+        A kernel.
+    *arguments : object
+        Examples of its arguments; it is compiled, not called.
+    """
+    if not isinstance(function, Dispatcher):
+        return function  # where numba is switched off
+    signature = tuple(numba.typeof(argument) for argument in arguments)
+    function.compile(signature)
+    return function.overloads[signature].entry_point  # type: ignore[no-any-return]
+
+
 def announce(say: Callable[[str], None] | None = None) -> None:
     """Say once when kernels have to be compiled, since it takes a while.
 

@@ -6,7 +6,10 @@ import sys
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from pwm_node.compiled import direct, kernel
 
 PACKAGE_PARENT = Path(__file__).parents[1]
 
@@ -87,3 +90,16 @@ def test_goes_on_where_nothing_can_be_kept(tmp_path, monkeypatch, capsys):
 
     assert double(2.0) == 4.0
     assert "cannot be kept" in capsys.readouterr().err
+
+
+def test_a_kernel_called_directly_gives_the_same():
+    @kernel
+    def add(record, step):
+        record[0].x += step
+        return record[0].x
+
+    dtype = np.dtype([("x", np.float64)])
+    add_directly = direct(add, np.zeros(1, dtype), 1.0)
+    record = np.zeros(1, dtype)
+    assert add_directly(record, 2.0) == 2.0
+    assert add(record, 3.0) == record["x"][0] == 5.0
