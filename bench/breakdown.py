@@ -23,6 +23,7 @@ from mfpcc_experiments.bag import BagWriter
 from mfpcc_experiments.record import sink
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.plant import Plant, advance, latch
+from pwm_node import compiled
 from pwm_node.diagnostics import StepTimes
 from pwm_node.wire import Wire
 
@@ -41,8 +42,7 @@ def measure(*, quick: bool) -> list[Figure]:
             parts = _timed(plant, controller, writer, blocks)
         for node in (plant, controller):
             node.destroy_node()
-    composed, _ = drives.composed(20_000)
-    period = composed.period_us()
+    period = median(drives.composed(20_000)[0].period_us() for _ in range(2 if quick else 5))
     parts["the rest: checks, counting, spinning"] = period - sum(
         us for name, us in parts.items() if name != _RECORD
     )
@@ -66,7 +66,11 @@ def _timed(
         Wire(each) for each in (PhaseFeedback, DriveState, DutyCommand, LutDiagnostics)
     )
     received, heard = Wire(PhaseFeedback), Wire(DutyCommand)
-    waveform, legs = state.tail["i_abc_oversampled"], state.tail["legs_oversampled"]
+    waveform = state.tail["i_abc_oversampled"], state.tail["legs_oversampled"]
+    records = plant.par, plant.st, sample.fixed, state.fixed, *waveform
+    take_over = compiled.direct(latch, plant.st, heard.fixed)
+    integrate = compiled.direct(advance, *records)
+    controller.bind(received.fixed, command.fixed, lut.fixed)
     step_times = StepTimes()
     sinks = [
         sink(writer, topic)
@@ -78,8 +82,8 @@ def _timed(
         spent = dict.fromkeys(_PARTS, 0)
         for _ in range(number):
             t0 = clock()
-            latch(plant.st, heard.fixed)
-            advance(plant.par, plant.st, sample.fixed, state.fixed, waveform, legs)
+            take_over(plant.st, heard.fixed)
+            integrate(*records)
             t1 = clock()
             sample_bytes, state_bytes = sample.to_bytes(), state.to_bytes()
             t2 = clock()

@@ -21,8 +21,10 @@ def measure(*, quick: bool) -> list[Figure]:
     times = sorted(_set_times(20 if quick else 200))
     slowest = times[int(0.99 * (len(times) - 1))]
     return [
-        figure("parameter set at full speed, answered and in force", times, "ms"),
-        figure("the same, 99 % of them", slowest, "ms", bar="value <= 20"),
+        figure(
+            "parameter set at full speed, answered and in force", times, "ms", bar="value <= 20"
+        ),
+        figure("the same, 99 % of them", slowest, "ms"),
     ]
 
 
