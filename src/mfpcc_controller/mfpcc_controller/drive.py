@@ -593,6 +593,8 @@ class Controller:
         cfg["mls_e_max_sq"] = (g_max / max(values["mls.eta_max"], 1e-9)) ** 2
         cfg["mls_inverter"] = values["mls.compensate_inverter"]
         cfg["mls_mu"] = values["mls.map_rate"]
+        cfg["mls_mu_most"] = _HASTE * values["mls.map_rate"]
+        cfg["mls_mu_span"] = cfg["mls_mu_most"] - values["mls.map_rate"]
         cfg["mls_settle"] = cfg["T_s"] / _HASTE_TIME
         cfg["mls_gamma"] = cfg["T_s"] / values["mls.map_memory"]
         if "mls.window" in changes or "mls.beta" in changes:
@@ -606,6 +608,9 @@ class Controller:
 #: Filters of the sum of the phase currents, and of the powers that SPINOUT compares (s)
 _SUM_TIME = 1e-3
 _POWER_TIME = 5e-3
+
+#: A fresh map, and one whose errors stay large, is learned faster by this factor.
+_HASTE = 10.0
 
 #: Time in which mls_mfpcc comes to learn its map faster, and slower again (s)
 _HASTE_TIME = 0.02

@@ -57,7 +57,9 @@ CONTROL_CFG = np.dtype(
         ("mls_eta_span", np.float64),  # eta_max - eta_min
         ("mls_e_0_sq", np.float64),  # (A^2)
         ("mls_e_max_sq", np.float64),  # (g_max / eta_max)^2 (A^2)
-        ("mls_mu", np.float64),
+        ("mls_mu", np.float64),  # rate of learning the map
+        ("mls_mu_most", np.float64),  # while errors are large
+        ("mls_mu_span", np.float64),  # their difference
         ("mls_gamma", np.float64),
         ("mls_settle", np.float64),  # share of a period in the time in which mu comes and goes
         ("mls_inverter", np.bool_),  # whether to compensate what the inverter's legs lose
@@ -129,7 +131,6 @@ MLS_MEMORY = np.dtype(
         ("m_d", np.complex128),
         ("m_q", np.complex128),
         ("learned_at", np.uint64),  # period of the last update
-        ("learned", np.bool_),  # there was one
         # weighted sums over the window, and the norms of the active vectors' (dq)
         ("sum_0", np.complex128),
         ("sum_a", np.complex128),
@@ -148,12 +149,14 @@ MLS_MEMORY = np.dtype(
         # voltage of the period that the next error is about, its mean and mean square deviation
         ("u_dq", np.complex128),  # (V)
         ("u_mean", np.complex128),
-        ("u_var", np.float64),  # (V^2)
+        ("var_d", np.float64),  # (V^2)
+        ("var_q", np.float64),
         ("e_mean", np.complex128),  # mean of the error (A)
         ("rate", np.float64),  # of learning from the moving part of the voltage
         ("begun", np.bool_),  # the natural entry is that of this run
-        # 1 / (sin(60 degrees) |u_j|), for the u_dc it was computed for
+        # 1 / (sin(60 degrees) |u_j|), and the least variance, for the u_dc they were computed for
         ("per_volt", np.float64),
+        ("floor", np.float64),
         ("u_dc", np.float64),
         ("drop", DROP_MEMORY),
         # self-commissioning

@@ -16,7 +16,7 @@ the forced ones', and it does not matter whose. An error that moves with the vol
 alone. So a second, slow correction fits the map to the deviations v of the voltage and e' of the
 error from their means over some periods:
 
-    m_d <- m_d + k_d e',  m_q <- m_q + k_q e',    k = mu v / (mean |v|^2 + |v|^2)
+    m_d <- m_d + k_d e',  m_q <- m_q + k_q e',    k_d = mu v_d / (mean v_d^2 + v_d^2), k_q likewise
 
 with the natural entry moved against it, so that the prediction at the mean voltage stays. What the
 noise of the sensors makes the voltage move is enough to learn from: it finds both inductances of a
@@ -51,7 +51,7 @@ import math
 import numpy as np
 
 from mfpcc_controller import leg_drop, search
-from mfpcc_controller.diagnostics import NEVER, show_gradients, show_shares
+from mfpcc_controller.diagnostics import show_gradients, show_shares
 from mfpcc_controller.vectors import (
     ACTIVE_LENGTH,
     DIRECTIONS,
@@ -71,9 +71,6 @@ _EPS = 1e-6
 # of 311 V. Without noise the voltage hardly moves, and what then moves with it (a change of speed)
 # is not its answer.
 _V_SQ_MIN = 1e-5
-
-# A fresh map, and one whose errors stay large, is learned faster by this factor.
-_HASTE = 10.0
 
 
 # Self-commissioning: dwell of the first and the longest pulses, and the answer that is enough,
@@ -101,21 +98,22 @@ def _forget(lut):
 
 
 @kernel
-def _fill(lut, g_0, m_d, m_q):
+def _fill(mem, m_d, m_q):
     """A first table."""
-    lut.g_0, lut.m_d, lut.m_q = g_0, m_d, m_q
-    lut.u_var = 0.0
-    lut.learned = False
+    lut = mem.mls
+    lut.g_0, lut.m_d, lut.m_q = 0j, m_d, m_q
+    lut.learned_at = mem.period
+    lut.var_d, lut.var_q = 0.0, 0.0
     lut.ready = True
     _forget(lut)
 
 
 @kernel
-def _fill_from_model(cfg, lut):
+def _fill_from_model(cfg, mem):
     """First table: isotropic at the mean inductance of the controller's model, nothing natural."""
     gain = 2.0 * cfg.T_s / (cfg.L_d + cfg.L_q)
-    _fill(lut, 0j, complex(gain, 0.0), complex(0.0, gain))
-    lut.rate = cfg.mls_mu * _HASTE
+    _fill(mem, complex(gain, 0.0), complex(0.0, gain))
+    mem.mls.rate = cfg.mls_mu_most
 
 
 @kernel
@@ -153,7 +151,7 @@ def _commission(cfg, mem):
     inverse = 1.0 / cross(u_1, u_2)
     m_d = scaled(inverse * u_2.imag, i_1) - scaled(inverse * u_1.imag, i_2)
     m_q = scaled(inverse * u_1.real, i_2) - scaled(inverse * u_2.real, i_1)
-    _fill(lut, 0j, m_d, m_q)
+    _fill(mem, m_d, m_q)
     lut.rate = cfg.mls_mu
 
 
@@ -164,6 +162,7 @@ def _leave_window(cfg, lut, e_0, e_a, e_b, q_a, q_b):
     if head >= cfg.mls_window:
         head = 0
     lut.head = head
+    lut.pair_age += 1
     oldest = cfg.mls_oldest
     lut.sum_0 -= scaled(oldest, lut.e_0[head])
     if lut.pair_age >= cfg.mls_window:
@@ -199,11 +198,10 @@ def _learn(cfg, mem):
     e_0, e_a, e_b = scaled(share, e), scaled(d_a * q_a * share, e), scaled(d_b * q_b * share, e)
     beta = cfg.mls_beta
     keep = beta
-    lut.pair_age += 1
     if past.a != lut.pair:
         # a new pair starts with an empty window
         lut.pair = past.a
-        lut.pair_age = 0
+        lut.pair_age = -1
         keep = 0.0
     lut.sum_0 = e_0 + scaled(beta, lut.sum_0)
     lut.sum_a = e_a + scaled(keep, lut.sum_a)
@@ -215,17 +213,20 @@ def _learn(cfg, mem):
     if mem.u_dc != lut.u_dc:
         lut.u_dc = mem.u_dc
         lut.per_volt = 1.0 / (SIN_60 * ACTIVE_LENGTH * mem.u_dc)
+        lut.floor = _V_SQ_MIN * mem.u_dc * mem.u_dc
     fit_a = scaled(lut.per_volt / (_EPS + lut.norm_a), lut.sum_a)
     fit_b = scaled(lut.per_volt / (_EPS + lut.norm_b), lut.sum_b)
 
     # the moving part of the voltage
     mean = lut.u_mean
     v = lut.u_dq - mean
-    v_sq = square(v)
-    floor = _V_SQ_MIN * mem.u_dc * mem.u_dc
-    k = scaled(lut.rate / (floor + lut.u_var + v_sq), v)
-    lut.rate += cfg.mls_settle * (cfg.mls_mu * (_HASTE - (_HASTE - 1.0) * small) - lut.rate)
-    lut.u_var += cfg.mls_gamma * (v_sq - lut.u_var)
+    d_sq, q_sq = v.real * v.real, v.imag * v.imag
+    all_d, all_q = lut.floor + lut.var_d + d_sq, lut.floor + lut.var_q + q_sq
+    rate = lut.rate / (all_d * all_q)
+    k = complex(rate * all_q * v.real, rate * all_d * v.imag)
+    lut.rate += cfg.mls_settle * (cfg.mls_mu_most - cfg.mls_mu_span * small - lut.rate)
+    lut.var_d += cfg.mls_gamma * (d_sq - lut.var_d)
+    lut.var_q += cfg.mls_gamma * (q_sq - lut.var_q)
     lut.u_mean = mean + scaled(cfg.mls_gamma, v)
     e_map -= lut.e_mean
     lut.e_mean += scaled(cfg.mls_gamma, e_map)
@@ -238,10 +239,9 @@ def _learn(cfg, mem):
     fit_q = scaled(a.real, fit_b) - scaled(b.real, fit_a)
     lut.m_d += scaled(eta, fit_d) + scaled(k.real, e_map)
     lut.m_q += scaled(eta, fit_q) + scaled(k.imag, e_map)
-    lut.g_0 += scaled(eta * cfg.mls_mean, lut.sum_0)
-    lut.g_0 -= scaled(k.real * mean.real + k.imag * mean.imag, e_map)
+    pivot = scaled(k.real * mean.real + k.imag * mean.imag, e_map)
+    lut.g_0 += scaled(eta * cfg.mls_mean, lut.sum_0) - pivot
     lut.learned_at = mem.period
-    lut.learned = True
     mem.eta = eta
     mem.updated = np.uint8(127)
 
@@ -281,7 +281,7 @@ def step(cfg, mem):
         if cfg.mls_empty:
             _commission(cfg, mem)
         else:
-            _fill_from_model(cfg, lut)
+            _fill_from_model(cfg, mem)
         if not lut.ready:
             return
     if not (mem.contiguous and mem.kept and lut.begun):
@@ -317,7 +317,7 @@ def show(cfg, mem, diag):
     g_1 = _response(lut, u_1) * back
     g_2 = _response(lut, next_vector(u_1)) * back
     show_gradients(diag, lut.g_0 + _turned(cfg.T_s * mem.w_m, mem.i_dq), g_1, g_2)
-    age = np.uint32(mem.period - lut.learned_at) if lut.learned else NEVER
+    age = np.uint32(mem.period - lut.learned_at)
     for j in range(7):
         diag.age[j] = age
     if mem.updated != 127:
