@@ -103,7 +103,11 @@ def _fill(mem, m_d, m_q):
     lut = mem.mls
     lut.g_0, lut.m_d, lut.m_q = 0j, m_d, m_q
     lut.learned_at = mem.period
+    # also what a table that failed has left
+    lut.sum_a, lut.sum_b = 0j, 0j
+    lut.norm_a, lut.norm_b = 0.0, 0.0
     lut.var_d, lut.var_q = 0.0, 0.0
+    lut.drop.volts, lut.drop.mean, lut.drop.variance = 0.0, 0j, 0.0
     lut.ready = True
     _forget(lut)
 
