@@ -89,7 +89,9 @@ def test_a_scheme_that_gives_no_number_is_replaced_in_the_same_period(scheme):
     bench = Bench(scheme=scheme, fallback_scheme=fallback).show(20)
     # whatever the scheme remembers is spoilt; one that remembers nothing cannot fail this way
     mem = bench.controller.mem
-    mem["mls"]["g_0"] = math.nan
+    for name in ("g_0", "m_d", "sum_a", "norm_b", "u_mean", "e_mean", "var_d"):
+        mem["mls"][name] = math.nan
+    mem["mls"]["drop"]["volts"] = math.nan
     mem["mfpcc"]["g"] = mem["mfpcc"]["gain_d"] = mem["mfpcc"]["di_prev"] = math.nan
     mem["neso"]["z_2"] = mem["ultra"]["z_2"] = mem["pi"]["integral"] = math.nan
     bench.show()
@@ -105,6 +107,8 @@ def test_a_scheme_that_gives_no_number_is_replaced_in_the_same_period(scheme):
     bench.controller.apply({"scheme": "mls_mfpcc"})
     bench.show(2)
     assert not bench.controller.fallen and bench.controller.scheme == "mls_mfpcc"
+    bench.show(50)
+    assert not bench.controller.fallen
 
 
 def test_without_gates_nothing_is_learned():
