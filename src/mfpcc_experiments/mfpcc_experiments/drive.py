@@ -38,6 +38,7 @@ from pwm_node.node import PwmNode
 
 _PROGRESS_EVERY = 0.1  # s
 _DISCOVERY = 0.3  # s: nodes on this machine are seen within a few hundredths
+_LINGERING = 3.0  # s: what has just ended may be seen a while longer
 _STALLED_AFTER = 20.0  # s
 _START_WITHIN = 300.0  # s
 _STOP_WITHIN = 10.0  # s
@@ -287,15 +288,18 @@ def _context() -> Iterator[rclpy.Context]:
 
 def _refuse_company(node: Node) -> None:
     """Raise if another drive is on this graph: the two would answer each other's samples."""
-    deadline = time.monotonic() + _DISCOVERY
-    while time.monotonic() < deadline:
-        for topic in ("phase_feedback", "duty_command"):
-            if node.count_publishers(topic):
-                domain = os.environ.get("ROS_DOMAIN_ID", "0")
-                raise DriveError(
-                    f"another drive publishes {topic} on this graph (ROS_DOMAIN_ID={domain}): "
-                    "stop it, or run with another ROS_DOMAIN_ID"
-                )
+    began = time.monotonic()
+    while True:
+        waited = time.monotonic() - began
+        busy = [t for t in ("phase_feedback", "duty_command") if node.count_publishers(t)]
+        if not busy and waited > _DISCOVERY:
+            return
+        if busy and waited > _LINGERING:
+            domain = os.environ.get("ROS_DOMAIN_ID", "0")
+            raise DriveError(
+                f"another drive publishes {busy[0]} on this graph (ROS_DOMAIN_ID={domain}): "
+                "stop it, or run with another ROS_DOMAIN_ID"
+            )
         time.sleep(0.02)
 
 
