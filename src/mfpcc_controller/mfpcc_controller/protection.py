@@ -188,7 +188,8 @@ def watch(cfg, mem, fb):
 def misled(cfg, mem):
     """Whether the scheme has predicted badly for so long that another has to take over."""
     guard = mem.guard
-    if square(mem.e) <= cfg.prediction_sq:
+    # written so that a plug-in that predicts nothing is not wrong
+    if not square(mem.e) > cfg.prediction_sq:
         guard.wrong = 0.0
         return False
     guard.wrong += cfg.T_s
