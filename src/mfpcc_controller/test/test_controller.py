@@ -206,6 +206,12 @@ def test_a_plug_in_is_asked_and_obeyed(plugged):
     assert complex(*bench.lut["prediction_error"][0]) == pytest.approx(i_dq - (1.0 + 2.0j))
 
 
+def test_a_plug_in_need_not_predict(plugged):
+    bench = plugged(Holds).show(200)
+    assert bench.controller.scheme == "mine" and bench.controller.faults() == []
+    assert np.all(np.isnan(bench.lut["prediction_error"]))
+
+
 def test_a_voltage_is_made_as_the_built_in_schemes_make_it(plugged):
     bench = plugged(Holds).show(1)
     mem = bench.controller.mem[0]
