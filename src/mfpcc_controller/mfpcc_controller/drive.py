@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_controller import motor, plug_in, protection
+from mfpcc_controller import model, motor, plug_in, protection
 from mfpcc_controller.observer import observe, turned_by
 from mfpcc_controller.parameters import MFPCC_UPDATES, SCHEMES
 from mfpcc_controller.records import CONTROL_CFG, CONTROL_MEMORY
@@ -244,6 +244,8 @@ def command(cfg, mem, cmd, diag, want_diag):
     elif mem.active >= _BUILT_IN:
         # a plug-in sets vectors and dwell times only
         set_output(mem.next, mem.next.a, mem.next.b, mem.next.d_a, mem.next.d_b)
+        if not abs(mem.i_hat) < np.inf:
+            mem.i_hat = model.predict(cfg, mem)
     on = protection.released(cfg, mem) and cfg.enable and not mem.failed
     if not on:
         set_output(mem.next, 0, 0, 0.0, 0.0)

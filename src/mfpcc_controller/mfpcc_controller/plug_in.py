@@ -75,7 +75,8 @@ class Output(NamedTuple):
     d_a, d_b : float
         Their shares of the period, together at most 1; the zero vector has the rest.
     i_hat : complex
-        Current that the scheme predicts for sample k + 1 (A, dq); NaN where it predicts none.
+        Current that the scheme predicts for sample k + 1 (A, dq); where it is NaN, recordings and
+        protection get what the motor file predicts.
     """
 
     a: int
@@ -190,7 +191,6 @@ class Host:
             self._complain(f"failed in period {sample.period}", error)
             out["d_a"] = math.nan
             return
-        # no prediction is no error
         self._mem["i_hat"] = i_hat
 
     def _sample(self) -> Sample:
