@@ -209,7 +209,8 @@ def test_a_plug_in_is_asked_and_obeyed(plugged):
 def test_a_plug_in_need_not_predict(plugged):
     bench = plugged(Holds).show(200)
     assert bench.controller.scheme == "mine" and bench.controller.faults() == []
-    assert np.all(np.isnan(bench.lut["prediction_error"]))
+    # the motor file does so in its place
+    assert np.all(np.abs(bench.lut["prediction_error"]) < 1.0)
 
 
 def test_a_voltage_is_made_as_the_built_in_schemes_make_it(plugged):
