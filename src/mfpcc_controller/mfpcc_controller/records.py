@@ -232,6 +232,8 @@ CONTROL_MEMORY = np.dtype(
         # rotor
         ("theta_m", np.float64),  # measured electrical angle (rad)
         ("w_m", np.float64),  # estimated electrical speed (rad/s)
+        ("jitter", np.float64),  # change of the encoder's own error since sample k - 1 (rad)
+        ("pll_error", np.float64),  # measured angle less the observer's (rad)
         ("pll_theta", np.float64),  # the observer's angle at sample k + 1 (rad)
         ("pll_samples", np.int64),
         # exp(-1j angle): at the sample, and in the middle of periods k - 1, k, k + 1

@@ -240,6 +240,21 @@ def test_without_noise_nothing_drifts():
     assert r.lut_error(0.1) < 0.1
 
 
+@pytest.mark.parametrize("lines", [1000, 2500])
+def test_steps_of_the_encoder_do_not_bend_the_map(lines):
+    """Without noise they are most of what moves the voltage, all the more at a round speed."""
+    r = run(
+        "mls_mfpcc",
+        0.8,
+        rpm=1000.0,
+        load=5.0,
+        plant={"sensor.encoder_lines": lines, "noise.current_rms": 0.0},
+        schedule=["0.3 speed_ref_rpm 500.0"],
+    )
+    assert r.lut_error(0.28) <= 0.20
+    assert np.abs(r.error(0.3)[:, 0]).max() < 1.0
+
+
 # --- The inverter --------------------------------------------------------------------------------
 
 

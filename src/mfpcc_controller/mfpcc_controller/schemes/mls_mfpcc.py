@@ -28,6 +28,11 @@ small at low speed. While errors are large, mu is ten times as large.
 frame alone, and known without a parameter of the motor. The natural entry holds the rest, which
 changes less when the current steps.
 
+*The encoder's steps* turn the measured current to and fro, and the loop answers to that with
+voltage. Where the currents are quiet, this is most of what moves, and taken for an answer to the
+voltage it would bend the map by half. What the rotor observer cannot follow is known for a step of
+the encoder and is taken out of the error before anything is learned from it.
+
 *The learning rate* follows the square of the error, `eta_max - (eta_max - eta_min) e_0^2 / (e_0^2 +
 |e|^2)`: of the paper's words (smooth at small errors, rapid at large ones) as true a reading as an
 exponential, and quieter, since noise hardly moves it.
@@ -181,7 +186,10 @@ def _leave_window(cfg, lut, e_0, e_a, e_b, q_a, q_b):
 @kernel
 def _learn(cfg, mem):
     """Correct the table by the error of the prediction of this sample."""
-    lut, past, e = mem.mls, mem.past, mem.e
+    lut, past, i_dq = mem.mls, mem.past, mem.i_dq
+    # without what the encoder's steps have turned the current by: that is no error of the table,
+    # but the loop answers to it, so it would pass for one that moves with the voltage
+    e = mem.e + complex(-mem.jitter * i_dq.imag, mem.jitter * i_dq.real)
     e_sq = square(e)
     small = cfg.mls_e_0_sq / (cfg.mls_e_0_sq + e_sq)
     eta = cfg.mls_eta_max - cfg.mls_eta_span * small
