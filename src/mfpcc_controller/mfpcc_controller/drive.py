@@ -267,7 +267,7 @@ def answer(cfg, mem, fb, cmd, diag, want_diag):
     """`control` on the records themselves, for compiled loops."""
     if protection.stale(mem, fb):
         # the answer that is there stands
-        protection.refuse(cfg, mem)
+        protection.refuse(cfg, mem, fb)
         return
     sample(cfg, mem, fb)
     choose(cfg, mem)

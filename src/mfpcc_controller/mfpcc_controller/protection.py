@@ -19,7 +19,8 @@ from pwm_node.compiled import kernel
 #: The controller's faults; the position is the bit in `GUARD_MEMORY.faults`.
 FAULTS: dict[str, str] = {
     "FEEDBACK_LOST": "{value:.3g} s without a sample",
-    "FEEDBACK_INVALID": "two samples in a row that cannot be true",
+    "FEEDBACK_INVALID": "two samples in a row that are not newer than the one before, or beyond "
+    "what sensors and motor file allow; DC link at {value:.0f} V",
     "OVERCURRENT": "current amplitude {value:.1f} A",
     "CURRENT_SUM": "the phase currents add up to {value:.2f} A",
     "ENCODER": "the angle jumped, or stood still while the rotor turned, by {value:.3f} rad",
@@ -97,13 +98,13 @@ def plausible(cfg, fb):
 
 
 @kernel
-def refuse(cfg, mem):
+def refuse(cfg, mem, fb):
     """Count a sample that cannot be true, or that came again or too late."""
     guard = mem.guard
     guard.invalid += np.uint64(1)
     guard.invalid_in_row += 1
     if guard.invalid_in_row >= 2:
-        trip(cfg, mem, FEEDBACK_INVALID, 0.0)
+        trip(cfg, mem, FEEDBACK_INVALID, fb.dc_voltage)
 
 
 @kernel
@@ -117,7 +118,7 @@ def accept(cfg, mem, fb, step):
         guard.invalid_in_row = 0
         return True
     guard.angle += mem.w_m * cfg.T_s / cfg.n_p
-    refuse(cfg, mem)
+    refuse(cfg, mem, fb)
     return False
 
 

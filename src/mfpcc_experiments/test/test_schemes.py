@@ -12,6 +12,7 @@ import pytest
 
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_experiments.closed_loop import Run, run
+from pwm_node import yaml_files
 
 ENCODER = {"sensor.encoder_lines": 2500}
 ENCODERS = pytest.mark.parametrize("plant", [{}, ENCODER], ids=["ideal", "2500_lines"])
@@ -132,6 +133,13 @@ def test_other_motors_the_salient_one_included(motor, rpm, load):
     options = {"motor": motor, "rpm": rpm, "load": load, "plant": ENCODER}
     ratio = steady_thd("mls_mfpcc", **options) / steady_thd("mbpcc", **options)
     assert ratio <= 1.10
+
+
+@pytest.mark.parametrize("motor", sorted(yaml_files.available("motors")))
+def test_every_motor_file_runs_with_no_more_than_its_name(motor):
+    r = run("mls_mfpcc", 0.3, motor=motor, rpm=0.0, load=0.0, schedule=["0.05 speed_ref_rpm 500.0"])
+    assert r.controller.faults() == []
+    assert r.state["speed"][-1] == pytest.approx(500.0 * np.pi / 30.0, rel=0.03)
 
 
 def test_ranking_picks_wrong_sectors_on_a_salient_machine():

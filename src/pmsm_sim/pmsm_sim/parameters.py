@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import cast
 
+from pmsm_sim import motor
 from pmsm_sim.injection import InjectionError, parse
 from pmsm_sim.records import PROFILE_SIZE
 from pwm_node.parameters import Parameter, Table, Value
+from pwm_node.yaml_files import FileError
 
 
 def _check(values: Mapping[str, Value]) -> str | None:
@@ -44,6 +46,14 @@ def _check(values: Mapping[str, Value]) -> str | None:
     if number["load.shaft_stiffness"] > 0.0 and number["load.inertia"] == 0.0:
         return "'load.inertia' = 0 is out of range: behind an elastic shaft it must be above 0"
     return _check_profile(cast("list[float]", values["load.profile"])) or _check_injections(values)
+
+
+def _of_the_motor(values: Mapping[str, Value]) -> Mapping[str, Value]:
+    """The DC link a motor is meant for: 311 V would be the end of one for 12 V."""
+    try:
+        return {"dc_voltage": motor.load(str(values["motor"])).u_dc}
+    except FileError:
+        return {}  # whoever needs the motor says what is wrong with it
 
 
 def _check_injections(values: Mapping[str, Value]) -> str | None:
@@ -99,7 +109,14 @@ TABLE = Table(
             maximum=100.0,
         ),
         Parameter("load_torque", 0.0, "Load torque", unit="N m", minimum=-1e4, maximum=1e4),
-        Parameter("dc_voltage", 311.0, "DC-link voltage", unit="V", minimum=1.0, maximum=2_000.0),
+        Parameter(
+            "dc_voltage",
+            311.0,
+            "DC-link voltage; where it is not given, that of the motor file",
+            unit="V",
+            minimum=1.0,
+            maximum=2_000.0,
+        ),
         Parameter(
             "inverter.missing_command",
             "zero",
@@ -598,4 +615,5 @@ TABLE = Table(
         ),
     ],
     check=_check,
+    follow=_of_the_motor,
 )

@@ -171,12 +171,16 @@ class Table(Mapping[str, Parameter]):
     check : callable, optional
         Rule across several parameters: gets the complete values and returns the reason for
         rejecting them, or None. It is called only with values that each are acceptable.
+    follow : callable, optional
+        Defaults that follow from other values: gets the complete values of a node that starts and
+        returns those that stand in for parameters which were not given.
     """
 
     def __init__(
         self,
         parameters: Iterable[Parameter],
         check: Callable[[Mapping[str, Value]], str | None] | None = None,
+        follow: Callable[[Mapping[str, Value]], Mapping[str, Value]] | None = None,
     ) -> None:
         self._parameters: dict[str, Parameter] = {}
         for parameter in parameters:
@@ -185,6 +189,7 @@ class Table(Mapping[str, Parameter]):
             parameter.validate(parameter.default)
             self._parameters[parameter.name] = parameter
         self._check = check
+        self._follow = follow
 
     def __getitem__(self, name: str) -> Parameter:
         try:
@@ -248,9 +253,13 @@ class Table(Mapping[str, Parameter]):
         return accepted
 
     def extended(self, *parameters: Parameter) -> Table:
-        """Return a table with more parameters and the same rule across parameters."""
-        return Table([*self._parameters.values(), *parameters], self._check)
+        """Return a table with more parameters and the same rules across parameters."""
+        return Table([*self._parameters.values(), *parameters], self._check, self._follow)
 
     def complete(self, changes: Mapping[str, Any]) -> dict[str, Value]:
         """Return all values of a node that starts with these changes to the defaults."""
-        return {**self.defaults(), **self.validate(changes)}
+        given = self.validate(changes)
+        values = {**self.defaults(), **given}
+        if self._follow is None:
+            return values
+        return {**values, **self._follow(values), **given}

@@ -98,6 +98,14 @@ def test_defaults_are_fresh(table):
     assert table.defaults()["gains"] == [1.0, 2.0]
 
 
+def test_a_default_can_follow_from_another_value():
+    parameters = [Parameter("a", 1.0, ""), Parameter("twice", 0.0, "")]
+    table = Table(parameters, follow=lambda values: {"twice": 2.0 * values["a"]})
+    assert table.complete({}) == {"a": 1.0, "twice": 2.0}
+    assert table.complete({"a": 3}) == {"a": 3.0, "twice": 6.0}
+    assert table.complete({"a": 3, "twice": 5}) == {"a": 3.0, "twice": 5.0}
+
+
 def test_values_as_text(table):
     assert table["high"].parse("1e-3") == 1e-3
     assert table["on"].parse("false") is False
