@@ -100,6 +100,15 @@ def steady() -> Rows:
     return rows
 
 
+def _ripple_and_error(scheme: str, seed: int, plant: dict[str, Any]) -> list[float]:
+    steady = run(scheme, 0.4, seed=seed, plant=plant)
+    error = np.abs(steady.lut["prediction_error"][steady.rows(0.2)]).max(axis=0)
+    load = run(scheme, 0.4, seed=seed, plant=plant, schedule=LOAD_STEP)
+    faster = ("0.2 speed_ref_rpm 1000.0",)
+    speed = run(scheme, 0.6, rpm=500.0, seed=seed, plant=plant, schedule=faster)
+    return [*steady.ripple(0.2), *error, load.lut_error(0.1), speed.lut_error(0.1)]
+
+
 def ripple_and_error() -> Rows:
     """Ripple and table error in steady state and through both steps."""
     rows = [
@@ -112,20 +121,13 @@ def ripple_and_error() -> Rows:
         ]
     ]
     for scheme in SCHEMES:
-        r = run(scheme, 0.4, plant=ENCODER)
-        error = np.abs(r.lut["prediction_error"][2000:]).max(axis=0)
-        ripple = r.ripple(0.2)
-        load = run(scheme, 0.4, plant=ENCODER, schedule=LOAD_STEP)
-        speed = run(scheme, 0.6, rpm=500.0, plant=ENCODER, schedule=["0.2 speed_ref_rpm 1000.0"])
-        rows.append(
-            [
-                f"`{scheme}`",
-                f"{ripple[0]:.2f} / {ripple[1]:.2f}",
-                f"{error[0]:.2f} / {error[1]:.2f}",
-                f"{load.lut_error(0.1):.2f}",
-                f"{speed.lut_error(0.1):.2f}",
-            ]
+        real, ideal = (
+            [f"{x:.2f}" for x in np.mean([_ripple_and_error(scheme, s, p) for s in (1, 2, 3)], 0)]
+            for p in (ENCODER, {})
         )
+        pairs = [f"{real[n]} / {real[n + 1]} ({ideal[n]} / {ideal[n + 1]})" for n in range(0, 4, 2)]
+        steps = [f"{real[n]} ({ideal[n]})" for n in (4, 5)]
+        rows.append([f"`{scheme}`", *pairs, *steps])
     return rows
 
 
@@ -137,11 +139,14 @@ def mismatch() -> Rows:
     for scheme in SCHEMES:
         cells = []
         for ratios in MISMATCH.values():
-            r = run(scheme, 0.6, plant=ENCODER, controller=wrong_model(*ratios), schedule=LOAD_STEP)
-            mean = r.error(0.4).mean(axis=0) + 0.0
-            ripple = r.ripple(0.4)
-            cells.append(f"{mean[1]:.2f}, {mean[0]:.2f}, {ripple[0]:.2f}")
-        rows.append([f"`{scheme}`", *(cell.replace("-0.00", "0.00") for cell in cells)])
+            wrong = wrong_model(*ratios)
+            figures = []
+            for plant in (ENCODER, {}):
+                r = run(scheme, 0.6, plant=plant, controller=wrong, schedule=LOAD_STEP)
+                mean = r.error(0.4).mean(axis=0)
+                figures.append(f"{mean[1]:.2f}, {mean[0]:.2f}, {r.ripple(0.4)[0]:.2f}")
+            cells.append(f"{figures[0]} ({figures[1]})".replace("-0.00", "0.00"))
+        rows.append([f"`{scheme}`", *cells])
     return rows
 
 
@@ -211,12 +216,37 @@ def motors() -> Rows:
     return rows
 
 
+def sector_search() -> Rows:
+    """Both sector searches, on a machine without saliency and on a salient one."""
+    rows = [["THD (%)", "`ranking`", "`dwell`"]]
+    for motor in ("seed_750", "ipmsm"):
+        for scheme in ("mbpcc", "mls_mfpcc"):
+            thd = [
+                run(
+                    scheme,
+                    0.4,
+                    motor=motor,
+                    oversampling=20,
+                    plant=ENCODER,
+                    controller={"sector_search": search},
+                ).thd(0.2)
+                for search in ("ranking", "dwell")
+            ]
+            rows.append([f"`{scheme}`, `{motor}`", *(f"{100.0 * x:.2f}" for x in thd)])
+    return rows
+
+
 def extensions() -> Rows:
     """What each step beyond the paper brings."""
     paper = {"mls.map_rate": 0.0, "mls.window": 5}
     cases: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
         ("`ipmsm`, 100 r/min, 5 N m", {"motor": "ipmsm", "rpm": 100.0, "load": 5.0}, {}),
         ("`ipmsm`, 750 r/min, 2 N m", {"motor": "ipmsm"}, {}),
+        (
+            "the same, saturated, 8 N m",
+            {"motor": "ipmsm", "load": 8.0},
+            {"machine.flux_map": "ipmsm_saturated"},
+        ),
         ("`seed_750`, 300 r/min, 2 N m", {"rpm": 300.0}, {}),
         ("the same at 750 r/min, 2 us dead time", {}, {"inverter.dead_time": 2e-6}),
         ("the same at 100 r/min", {"rpm": 100.0}, {"inverter.dead_time": 2e-6}),
@@ -271,6 +301,7 @@ TABLES: dict[str, Callable[[], Rows]] = {
     "wrong_models": mismatch,
     "survival": survival,
     "motors": motors,
+    "sectors": sector_search,
     "extensions": extensions,
     "times": times,
 }
@@ -297,6 +328,14 @@ def _currents(axes: Axes, r: Run, rows: slice | None = None) -> None:
         axes.plot(time, r.lut["i_dq"][rows, axis], color=COLOURS[axis], label=f"$i_{name}$")
     axes.plot(time, r.lut["i_dq_ref"][rows, 1], color=REFERENCE, lw=0.6, ls="--", label="reference")
     axes.set_ylabel("A")
+
+
+def _entries(axes: Axes, r: Run, rows: slice) -> None:
+    for j in range(1, 7):
+        size = np.hypot(r.lut["gradient_re"][rows, j], r.lut["gradient_im"][rows, j])
+        axes.plot(1e3 * _time(r)[rows], size, color=COLOURS[j - 1], lw=0.6)
+    axes.set_ylabel("$|g_1| .. |g_6|$ (A)")
+    axes.set_ylim(bottom=0.0)
 
 
 def figure_learning() -> Figure:
@@ -341,11 +380,30 @@ def figure_reversal() -> Figure:
             time, r.lut["prediction_error"][rows, axis], color=COLOURS[axis], label=f"$e_{name}$"
         )
     axes[2].set_ylabel("error (A)")
-    for j in range(1, 7):
-        size = np.hypot(r.lut["gradient_re"][rows, j], r.lut["gradient_im"][rows, j])
-        axes[3].plot(time, size, color=COLOURS[j - 1], lw=0.6)
-    axes[3].set_ylabel("$|g_1| .. |g_6|$ (A)")
-    axes[3].set_ylim(bottom=0.0)
+    _entries(axes[3], r, rows)
+    axes[-1].set_xlabel("time (ms)")
+    return figure
+
+
+def figure_standstill() -> Figure:
+    """A blocked rotor from no torque to all of it, and back."""
+    figure, axes = _panels(3, "seed_750, rotor blocked: all the torque, and none again")
+    r = run(
+        "mls_mfpcc",
+        0.3,
+        rpm=0.0,
+        plant={**ENCODER, "load.kind": "speed", "load.speed_rpm": 0.0},
+        controller={"control_mode": "current", "i_q_ref": 0.0},
+        schedule=["0.1 i_q_ref 11.9", "0.2 i_q_ref 0.0"],
+    )
+    rows = slice(800, 2400)
+    time = 1e3 * _time(r)[rows]
+    _currents(axes[0], r, rows)
+    axes[0].legend(ncols=3, loc="center")
+    for axis in range(2):
+        axes[1].plot(time, r.lut["prediction_error"][rows, axis], color=COLOURS[axis])
+    axes[1].set_ylabel("error (A)")
+    _entries(axes[2], r, rows)
     axes[-1].set_xlabel("time (ms)")
     return figure
 
@@ -521,6 +579,7 @@ def figure_steps() -> Figure:
 FIGURES: dict[str, Callable[[], Figure]] = {
     "learning": figure_learning,
     "steps": figure_steps,
+    "standstill": figure_standstill,
     "reversal": figure_reversal,
     "mismatch": figure_mismatch,
     "switching": figure_switching,
