@@ -251,22 +251,44 @@ def print_table(rows: Sequence[dict[str, Any]]) -> None:
     Parameters
     ----------
     rows : sequence of dict
-        Objects of ``metrics.json``.
+        Objects of ``metrics.json``. What does not fit side by side comes below one another.
     """
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
     names = labels(rows, [Path(str(n)) for n in range(1, len(rows) + 1)])
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("")
-    for name in names:
-        table.add_column(escape(name), justify="right", overflow="fold")
-    table.add_column("", style="dim")
+    lines = []
     for title, unit, key, less_is_better in COLUMNS:
         cells = [text(row, key, unit) for row in rows]
         marks = best(rows, key) if less_is_better else [False] * len(rows)
         cells = [f"[bold]{c}[/bold]" if m else c for c, m in zip(cells, marks, strict=True)]
         if any(cell != "–" for cell in cells):
-            table.add_row(title, *cells, unit)
-    Console(highlight=False).print(table)
+            lines.append((title, unit, cells))
+
+    console = Console(highlight=False)
+    for n, block in enumerate(_side_by_side(names, console.width)):
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        table.add_column("")
+        for name in names[block]:
+            table.add_column(escape(name), justify="right", overflow="fold")
+        table.add_column("", style="dim")
+        for title, unit, cells in lines:
+            table.add_row(title, *cells[block], unit)
+        if n:
+            console.print()
+        console.print(table)
+
+
+def _side_by_side(names: Sequence[str], width: int) -> list[slice]:
+    """Columns that fit into so many characters beside titles and units, block by block."""
+    left = width - max(len(title) for title, *_ in COLUMNS) - 2 - max(len(c[1]) for c in COLUMNS)
+    blocks, start, used = [], 0, 0
+    for n, name in enumerate(names):
+        # a figure has up to six characters; two keep the columns apart
+        needed = max(6, len(name)) + 2
+        if n > start and used + needed > left:
+            blocks.append(slice(start, n))
+            start, used = n, 0
+        used += needed
+    return [*blocks, slice(start, len(names))]

@@ -148,6 +148,17 @@ def test_the_table_in_the_terminal(compared, capsys):
     assert re.search(r"THD, oversampled +2\.00 +2\.00 +%", lines[1])
 
 
+def test_a_table_too_wide_for_the_terminal_goes_on_below(compared, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    schemes = ["mbpcc", "mbpcc_single_vector", "neso_mfpcc", "mfpcc_two_vector", "mls_mfpcc"]
+    compare.print_table([{**compared[1][0], "scheme": scheme} for scheme in schemes])
+    text = capsys.readouterr().out
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
+    for scheme in schemes:
+        assert measured.scheme_title(scheme) in text
+    assert len(re.findall(r"THD, oversampled( +2\.00)+ +%", text)) == 2
+
+
 @pytest.mark.parametrize(
     ("number", "shown"),
     [(None, "–"), (0.0, "0.000"), (1.8123, "1.81"), (19.02, "19.0"), (0.19739, "0.197"),
