@@ -1,6 +1,7 @@
 """`ros2 bag`: what is recorded is played as it was."""
 
 import signal
+import threading
 import time
 from contextlib import contextmanager
 
@@ -40,6 +41,29 @@ def taken_from(topic):
         rclpy.shutdown()
 
 
+@contextmanager
+def publishing(topic):
+    """Publish as fast as it goes, from a thread."""
+    rclpy.init()
+    node = rclpy.create_node("flood")
+    publisher = node.create_publisher(Header, topic, 1000)
+    enough = threading.Event()
+
+    def flood():
+        while not enough.is_set():
+            publisher.publish(Header(frame_id="drop"))
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    try:
+        yield
+    finally:
+        enough.set()
+        thread.join()
+        node.destroy_node()
+        rclpy.shutdown()
+
+
 @pytest.fixture(scope="module")
 def bag(remote, start, tmp_path_factory):
     """A recording of the remote node's topics."""
@@ -51,6 +75,17 @@ def bag(remote, start, tmp_path_factory):
     assert recorder.end(signal.SIGINT) == 0
     assert recorder.out.endswith("Recording stopped\n")
     return folder
+
+
+def test_an_interrupt_at_any_moment_leaves_a_whole_bag(remote, start, tmp_path):
+    """Also in the middle of a message: what comes at this rate is written all the time."""
+    with publishing("/flood"):
+        for n in range(3):
+            recorder = start("bag", "record", "-o", tmp_path / str(n), "/flood")
+            recorder.wait_for("All requested topics are subscribed")
+            assert recorder.end(signal.SIGINT) == 0
+            assert "Error" not in recorder.out
+            assert all(topic == "/flood" for topic, _, _ in messages(tmp_path / str(n)))
 
 
 def messages(folder):

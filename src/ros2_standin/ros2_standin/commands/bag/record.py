@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,7 +12,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import ExternalShutdownException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -24,7 +27,7 @@ from ros2_standin.log import error, info, warning
 from ros2_standin.node import cli_node, visible
 from ros2_standin.recorded_qos import request_for, to_bag
 from ros2_standin.types import interface_class
-from ros2_standin.verb import Result, Terminated
+from ros2_standin.verb import Result
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,13 +110,19 @@ def main(args: argparse.Namespace) -> Result:
         writer = _writer(args, folder)
     except ValueError as problem:
         return f"[ERROR] [ros2bag]: {problem}"
+    # rclpy ends the spinning by itself. Python's KeyboardInterrupt could come in the middle of a
+    # record, and leave a bag that cannot be read.
+    signal.signal(signal.SIGINT, lambda *_: None)
     with cli_node(args, args.node_name) as node:
         recorder = _Recorder(node, writer, _Choice(args, node), args)
         try:
             writer.open()
             recorder.run()
-        except (KeyboardInterrupt, Terminated):
+        except ExternalShutdownException:
             pass  # that is how one stops it
+        except RuntimeError:
+            if rclpy.ok():  # otherwise it was stopped in the middle of a look around
+                raise
         finally:
             recorder.close()
     return 1 if recorder.lost else None
