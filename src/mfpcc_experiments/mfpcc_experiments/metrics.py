@@ -736,7 +736,8 @@ def scatter(w: Window) -> dict[str, Any]:
     rows = [_flat(_figures(part)) for part in parts(w)]
     mean, std = {}, {}
     for key in rows[0] if len(rows) > 1 else ():
-        values = [row[key] for row in rows if row[key] is not None]
+        # a figure that a part cannot give is None, or a group of figures less
+        values = [row[key] for row in rows if row.get(key) is not None]
         if len(values) == len(rows):
             mean[key] = float(np.mean(values))
             std[key] = float(np.std(values, ddof=1))

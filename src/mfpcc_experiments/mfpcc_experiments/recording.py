@@ -32,6 +32,8 @@ from mfpcc_experiments.bag import (
 )
 
 Progress = Callable[[float], None]
+_Periods = NDArray[np.int64]
+_Rows = slice | NDArray[np.bool_]
 
 _NEEDED = ("phase_feedback", "duty_command")
 _ALIGN = 4  # of the count of a list or the length of a text
@@ -304,10 +306,12 @@ class _Collector:
                 + (there if not any(c.count for c in self._columns.values()) else "")
             )
         problems: list[str] = []
-        rows = {}
-        for name, column in self._columns.items():
-            keep = _rising(name, column.period(), problems)
-            rows[name] = column.take(keep)
+        periods = {name: column.period() for name, column in self._columns.items()}
+        keep = {name: _rising(name, period, problems) for name, period in periods.items()}
+        if not self.config or all(p[0] > 0 for p in periods.values() if len(p)):
+            # Who joins a drive that runs, or is another recorder, finds the topics one by one.
+            keep = _common(periods, keep)
+        rows = {name: column.take(keep[name]) for name, column in self._columns.items()}
         feedback, command = rows["phase_feedback"][0], rows["duty_command"][0]
         lut, scheme = rows["lut_diagnostics"]
         state, waves = rows["drive_state"]
@@ -410,7 +414,7 @@ class _Column:
             return np.zeros(0, np.int64)
         return np.concatenate([part["period"] for part in self._parts]).astype(np.int64)
 
-    def take(self, keep: slice | NDArray[np.bool_]) -> tuple[NDArray[Any], Any]:
+    def take(self, keep: _Rows) -> tuple[NDArray[Any], Any]:
         """Array of the rows to keep, and what a topic has besides; gives up its own copy."""
         return _concatenate(self._parts, keep, np.zeros(0, self._dtype)), None
 
@@ -443,7 +447,7 @@ class _TextColumn(_Column):
             raise self._wrong("too many different texts")
         return self._names.setdefault(tail[4 : 3 + length], len(self._names))
 
-    def take(self, keep: slice | NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.str_]]:
+    def take(self, keep: _Rows) -> tuple[NDArray[Any], NDArray[np.str_]]:
         rows, _ = super().take(keep)
         codes = _concatenate(self._codes, keep, np.zeros(0, np.uint16))
         names = np.array([name.decode("utf-8", "replace") for name in self._names] or [""])
@@ -491,7 +495,7 @@ class _WaveColumn(_Column):
             raise self._wrong("a list is cut")
         return length, at + 4
 
-    def take(self, keep: slice | NDArray[np.bool_]) -> tuple[NDArray[Any], Any]:
+    def take(self, keep: _Rows) -> tuple[NDArray[Any], Any]:
         rows, _ = super().take(keep)
         if not self._points or not self._currents:
             return rows, None
@@ -503,9 +507,7 @@ class _WaveColumn(_Column):
         return rows, (currents, legs)
 
 
-def _concatenate(
-    parts: list[NDArray[Any]], keep: slice | NDArray[np.bool_], empty: NDArray[Any]
-) -> NDArray[Any]:
+def _concatenate(parts: list[NDArray[Any]], keep: _Rows, empty: NDArray[Any]) -> NDArray[Any]:
     """Join the parts and empty the list, so that memory holds them once, not twice."""
     if not parts:
         return empty
@@ -522,7 +524,7 @@ def _concatenate(
 # --- Completeness ------------------------------------------------------------------------------
 
 
-def _rising(name: str, period: NDArray[np.int64], problems: list[str]) -> slice | NDArray[np.bool_]:
+def _rising(name: str, period: NDArray[np.int64], problems: list[str]) -> _Rows:
     """Rows with rising period numbers: repeats dropped, of several runs the longest."""
     step = np.diff(period)
     if (step > 0).all():
@@ -544,6 +546,22 @@ def _rising(name: str, period: NDArray[np.int64], problems: list[str]) -> slice 
         keep[: borders[longest]] = False
         keep[borders[longest + 1] :] = False
     return keep
+
+
+def _common(periods: Mapping[str, _Periods], keep: Mapping[str, _Rows]) -> dict[str, _Rows]:
+    """Keep of each topic the periods in which all of them were being recorded."""
+    # the command that answers a sample is for the period after it
+    samples = {name: p - (name == "duty_command") for name, p in periods.items() if len(p)}
+    kept = [sample[keep[name]] for name, sample in samples.items()]
+    begin, end = max(int(p[0]) for p in kept), min(int(p[-1]) for p in kept)
+    common = dict(keep)
+    for name, sample in samples.items():
+        inside = np.zeros(len(sample), np.bool_)
+        inside[keep[name]] = True
+        inside &= (sample >= begin) & (sample <= end)
+        if inside.any():
+            common[name] = inside
+    return common
 
 
 def _lost(recording: Recording) -> int:

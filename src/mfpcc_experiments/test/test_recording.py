@@ -121,6 +121,17 @@ def test_a_late_recorder(make_bag, drive_messages):
     assert found.feedback["period"][0] == 5000 and found.lost_periods == 0
 
 
+def test_a_late_recorder_finds_one_topic_after_the_other(make_bag, drive_messages):
+    """As `ros2 bag record` does, which knows no configuration either."""
+    begins = {"phase_feedback": 1100, "lut_diagnostics": 2500, "drive_state": 1000}
+    source = [m for m in drive_messages(5000) if m[1] >= 100_000 * begins.get(m[0], 1200)]
+    found = recording.read(make_bag(source=source))
+    assert found.lost_periods == 0 and found.problems == []
+    assert found.feedback["period"][[0, -1]].tolist() == [2500, 4999]
+    row = metrics.evaluate(found)
+    assert row["lut_error_max"] == {"d": 0.05, "q": 0.1}
+
+
 # --- Files that are not as they should be ---
 
 
