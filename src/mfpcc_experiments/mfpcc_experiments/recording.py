@@ -599,7 +599,8 @@ def _complete(recording: Recording) -> None:
     with suppress(KeyError, TypeError, ValueError):
         recording.T_s = float(config["T_s"])
     if not 0.0 < recording.T_s < 1.0:
-        stamp = feedback["stamp"]["sec"] * 1_000_000_000 + feedback["stamp"]["nanosec"]
+        stamp = feedback["stamp"]["sec"].astype(np.int64) * 1_000_000_000
+        stamp += feedback["stamp"]["nanosec"]
         periods = int(feedback["period"][-1]) - int(feedback["period"][0])
         recording.T_s = float(stamp[-1] - stamp[0]) * 1e-9 / periods if periods > 0 else 0.0
     if not 0.0 < recording.T_s < 1.0:

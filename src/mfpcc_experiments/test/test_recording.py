@@ -67,6 +67,12 @@ def test_a_bag_of_others_is_measured_without_configuration(make_bag):
     assert row["thd_percent"]["oversampled"] is None
 
 
+def test_the_period_can_be_told_at_any_time(make_bag, drive_messages):
+    """Nanoseconds of a stamp do not fit into 32 bits from 2.1 s on."""
+    source = drive_messages(1000, first=69_500)
+    assert recording.read(make_bag(source=source, config={})).T_s == pytest.approx(1e-4)
+
+
 def test_a_window_outside_of_the_recording(make_bag):
     found = recording.read(make_bag(periods=500))
     with pytest.raises(metrics.MetricsError, match=r"0\.1 to 0\.3 s holds 0 samples.* to 0\.05 s"):
