@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from harness import Process, until
-from mfpcc_msgs.msg import DriveStatus, DutyCommand
+from mfpcc_msgs.msg import DriveStatus, DutyCommand, PhaseFeedback
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
@@ -18,8 +18,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.rosbag2 import Reader
 from std_srvs.srv import Trigger
 
+from mfpcc_controller.node import MfpccController
 from mfpcc_experiments import run
 from mfpcc_experiments.scenario import Scenario
+from pwm_node.wire import Wire
 
 Start = Callable[..., Process]
 
@@ -33,6 +35,7 @@ class Operator:
         self.node = Node("operator", context=self.context)
         self.status: dict[str, DriveStatus] = {}
         self.enabled: bool | None = None
+        self.commanded = -1
         latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(DriveStatus, "drive_status", self._on_status, latest)
         self.node.create_subscription(DutyCommand, "duty_command", self._on_command, 10)
@@ -44,6 +47,7 @@ class Operator:
 
     def _on_command(self, message: DutyCommand) -> None:
         self.enabled = message.enable
+        self.commanded = message.period
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
         def holds() -> bool:
@@ -116,6 +120,83 @@ def test_a_fault_is_told_and_power_returns_only_by_request_and_from_zero(
     operator.until(lambda: operator.enabled is True, "power returns")
     operator.until(lambda: operator.status["pmsm_sim"].enabled, "and reaches the gates")
     assert plant.output.count("DC_OVERVOLTAGE in period") == 1
+
+
+def test_a_killed_plant_disables_until_there_are_samples_again_and_it_is_cleared(
+    start: Start, operator: Operator
+) -> None:
+    slowly = ("--ros-args", "-p", "real_time_factor:=0.02")
+    controller = start("mfpcc_controller", "controller", "--ros-args", "-p", "speed_ref_rpm:=200.0")
+    plant = start("pmsm_sim", "pmsm_sim", *slowly)
+    operator.until(lambda: operator.commanded > 20, "the loop runs")
+    assert operator.enabled is True
+    plant.kill()
+    operator.until(lambda: operator.codes("mfpcc_controller") == ["FEEDBACK_LOST"], "it is told")
+    assert operator.enabled is False
+    controller.wait_for("clear_faults std_srvs/srv/Trigger")
+    answer = operator.call("mfpcc_controller", "clear_faults")
+    assert not answer.success and "FEEDBACK_LOST" in answer.message
+
+    another = start("pmsm_sim", "pmsm_sim", *slowly)
+    controller.wait_for("the plant began anew")
+    assert "gates off until the faults are cleared" in controller.output
+    operator.until(lambda: operator.call("mfpcc_controller", "clear_faults").success, "cleared")
+    operator.set("mfpcc_controller", "speed_ref_rpm", 0.0)
+    operator.until(lambda: operator.enabled is True, "power returns")
+    for process in (controller, another):
+        process.kill()  # or they would wait for the first plant to take the last messages
+
+
+class Controller(MfpccController):
+    """A controller that is shown samples, and told that a tenth of a second has gone by."""
+
+    def show(self, periods: int) -> None:
+        sample = Wire(PhaseFeedback)
+        sample.fixed["dc_voltage"] = 311.0
+        for _ in range(periods):
+            sample.fixed["period"] = self.period + 1
+            self._on_feedback(sample.to_bytes())
+
+    def wait(self, tenths: int) -> None:
+        for _ in range(tenths):
+            self._look_for_samples()
+
+    @property
+    def codes(self) -> list[str]:
+        return [code for code, _, _ in self.core.faults()]
+
+
+@pytest.fixture
+def controller(operator: Operator) -> Iterator[Controller]:
+    node = Controller(context=operator.context)
+    assert node.trigger_configure() == node.trigger_activate()
+    operator.until(lambda: node._command_out.listeners > 0, "the operator listens")
+    yield node
+    node.destroy_node()
+
+
+def test_samples_are_missed_while_the_drive_is_enabled_and_by_who_was_there_to_see_it(
+    controller: Controller,
+) -> None:
+    controller.wait(50)
+    assert controller.codes == [], "nothing has run yet"
+    for _ in range(5):
+        controller.show(1)
+        controller.wait(9)
+    assert controller.codes == [], "samples come, if slowly"
+    at_rest = DriveStatus(node="pmsm_sim", state="ready")
+    controller._on_status(at_rest)
+    controller.wait(50)
+    assert controller.codes == [], "the inverter has said that it rests"
+    at_rest.state = "running"
+    controller._on_status(at_rest)
+    controller.wait(10)
+    assert controller.codes == ["FEEDBACK_LOST"]
+    controller.show(2)
+    assert not controller._command.fixed["enable"][0], "latched"
+    assert controller.core.clear_faults() == []
+    controller.wait(50)
+    assert controller.codes == [], "nothing is enabled"
 
 
 @pytest.mark.parametrize(

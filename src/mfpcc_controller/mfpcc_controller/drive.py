@@ -374,8 +374,8 @@ class Controller:
         return not (self.tripped or self.mem["guard"]["awaits_zero"][0])
 
     def inherit_faults(self, other: Controller) -> None:
-        """Take over what another controller has latched."""
-        for name in ("tripped", "faults", "at", "value"):
+        """Take over what another controller has latched, and that power waits for a zero."""
+        for name in ("tripped", "awaits_zero", "faults", "at", "value"):
             self.mem["guard"][name] = other.mem["guard"][name]
         self.mem["guard"]["tripped"] |= other.failed
 
@@ -399,8 +399,10 @@ class Controller:
     def feedback_lost(self, seconds: float) -> None:
         """Disable, since no sample has come for so long."""
         guard = self.mem["guard"][0]
-        if not int(guard["faults"]) >> protection.FEEDBACK_LOST & 1:
-            guard["faults"] |= np.uint32(1 << protection.FEEDBACK_LOST)
+        bit = np.uint32(1 << protection.FEEDBACK_LOST)
+        guard["present"] |= bit  # until the next sample
+        if not guard["faults"] & bit:
+            guard["faults"] |= bit
             guard["at"][protection.FEEDBACK_LOST] = self.mem["period"][0]
             guard["value"][protection.FEEDBACK_LOST] = seconds
         if self.values["fault.react"]:

@@ -33,6 +33,7 @@ from pwm_node.stops import Stops
 from pwm_node.wire import Wire, WireError
 
 _LOOK_EVERY = 0.01  # s
+_WATCH_EVERY = 0.1  # s
 # A sample that is older by less than this has been overtaken; else the plant has begun anew.
 _OVERTAKEN = 100
 _START_PLANT = "ros2 run pmsm_sim pmsm_sim"
@@ -56,6 +57,11 @@ class MfpccController(PwmNode):
         super().__init__("mfpcc_controller", TABLE, **options)
         self._held: Timer | None = None
         self._told_fallen = False
+        # Looks in a row without a new sample, and the latest one there was. They are counted in
+        # looks and not by the clock, so that a controller that was itself held up blames nobody.
+        self._looks = 0
+        self._looked_at = -1
+        self._inverter_at_rest = False
 
     # Life cycle -----------------------------------------------------------------------------
 
@@ -83,8 +89,19 @@ class MfpccController(PwmNode):
             "drive_status",
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
+        self._status_in = self.create_subscription(
+            DriveStatus,
+            "drive_status",
+            self._on_status,
+            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+        )
         self._told: tuple[Any, ...] = ()
         self._stops = Stops(self, "the reference has been at zero")
+        self._watchdog = self.create_timer(
+            _WATCH_EVERY,
+            self._look_for_samples,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
 
     def _compile(self) -> None:
         """Compile the kernel, or load it, before a sample waits for it."""
@@ -93,10 +110,10 @@ class MfpccController(PwmNode):
         trial.step(self._feedback.fixed, self._command.fixed, self._lut.fixed, True)
 
     def _begin_anew(self) -> None:
-        """Make a controller that has seen nothing yet, but for faults: they stay latched."""
+        """Make a controller that has seen nothing yet, but what keeps the gates off still does."""
         before = self.core
         self.core = Controller(self.values)
-        if before.tripped:
+        if not before.released:
             self.core.inherit_faults(before)
         self._follow_core()
 
@@ -114,7 +131,7 @@ class MfpccController(PwmNode):
 
     def deactivate(self) -> None:
         """Block the gates, also if no further sample is answered."""
-        self.core.enabled = False
+        self.active = self.core.enabled = False
         if self.period >= 0:
             # what the plant waits for, should this process end now
             self._command.fixed["period"] += 1
@@ -125,7 +142,9 @@ class MfpccController(PwmNode):
     def cleanup(self) -> None:
         """Remove what is not on the loop."""
         self._drop_held()
+        self.destroy_timer(self._watchdog)
         self._stops.destroy()
+        self.destroy_subscription(self._status_in)
         self.destroy_subscription(self._reference_in)
         self.destroy_publisher(self._status_out)
 
@@ -171,21 +190,46 @@ class MfpccController(PwmNode):
             self.core.step(self._feedback.fixed, self._command.fixed, self._lut.fixed, False)
             return False
         if k < self.period:
-            self.get_logger().info(f"the plant began anew (period {self.period}, then {k})")
             self._begin_anew()
+            self.get_logger().info(
+                f"the plant began anew (period {self.period}, then {k})"
+                + ("; gates off until the faults are cleared" if self.core.tripped else "")
+            )
         elif self.period >= 0:
             self.lost_periods += k - self.period - 1
         return True
 
     def on_stall(self, seconds: float) -> None:
         """Send the last command again: whoever came after it was sent has not got it."""
-        limit = self.values["fault.feedback_timeout"]
-        if self.period >= 0 and 0.0 < limit <= seconds:
-            self.core.feedback_lost(seconds)
-            self._command.fixed["enable"] = False
-            self.tell_status()
         if self.period >= 0:
             self._command_out.publish_aside(self._command.to_bytes())
+
+    def _look_for_samples(self) -> None:
+        """Disable the inverter if no new sample comes while it is enabled."""
+        limit = self.values["fault.feedback_timeout"]
+        enabled = self.period >= 0 and self.active and self._command.fixed["enable"][0]
+        due = enabled and limit > 0.0 and not self._inverter_at_rest
+        if not due or self.period != self._looked_at:
+            self._looked_at = self.period
+            self._looks = 0
+            return
+        self._looks += 1
+        seconds = self._looks * _WATCH_EVERY
+        if seconds < limit:
+            return
+        self.core.feedback_lost(seconds)
+        if self.core.tripped:
+            self._command.fixed["enable"] = False
+            self._command_out.publish_aside(self._command.to_bytes())
+        self.tell_status()
+
+    def _on_status(self, message: DriveStatus) -> None:
+        """Hear whether the inverter says of itself that it drives nothing: no sample is due then.
+
+        One that was killed says nothing more, and so is missed.
+        """
+        if message.node != self.get_name():
+            self._inverter_at_rest = message.state != "running"
 
     def _heard(self) -> bool:
         """Whether everybody is there who must not miss the first answer; else hold the sample."""

@@ -340,10 +340,10 @@ TABLE = Table(
         ),
         Parameter(
             "fault.feedback_timeout",
-            0.0,
-            "Wall-clock time without a sample, once the loop has run, after which the controller "
-            "disables the inverter; 0: it waits, as lock-step does. Gaps of more than 5 samples "
-            "trip in any case",
+            1.0,
+            "Wall-clock time without a sample after which an enabled controller disables the "
+            "inverter, counted in tenths of a second; 0: it waits for ever. It has to be longer "
+            "than samples are apart; gaps of more than 5 samples trip in any case",
             unit="s",
             minimum=0.0,
             maximum=1e3,

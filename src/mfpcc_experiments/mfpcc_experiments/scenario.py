@@ -177,22 +177,27 @@ class Scenario(BaseModel):
             If there is no such scheme, or the seed is out of its range.
         """
         both = {"motor": self.motor, "pwm_frequency": self.pwm_frequency}
-        plant = {
-            "initial_speed_rpm": self.speed_rpm,
-            **self.plant,
-            **both,
-            "seed": seed,
-            "periods": self.periods,
-            "schedule": self._entries("plant"),
-        }
+        plant = PLANT.complete(
+            {
+                "initial_speed_rpm": self.speed_rpm,
+                **self.plant,
+                **both,
+                "seed": seed,
+                "periods": self.periods,
+                "schedule": self._entries("plant"),
+            }
+        )
+        # in lock-step what happens must not depend on how fast the machine is
+        in_lock_step = {"fault.feedback_timeout": 0.0} if plant["real_time_factor"] == 0.0 else {}
         controller = {
             "speed_ref_rpm": self.speed_rpm,
+            **in_lock_step,
             **self.controller,
             **both,
             "scheme": scheme,
             "schedule": self._entries("controller"),
         }
-        return PLANT.complete(plant), CONTROLLER.complete(controller)
+        return plant, CONTROLLER.complete(controller)
 
     def _entries(self, part: str) -> list[str]:
         """The schedule of one node as its parameter wants it: 'SECONDS NAME VALUE'."""

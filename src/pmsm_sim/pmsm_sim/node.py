@@ -126,6 +126,7 @@ class PmsmSim(PwmNode):
 
     def deactivate(self) -> None:
         """Block the gates from the next period on."""
+        self.active = False
         self.tell_status()
 
     def cleanup(self) -> None:
