@@ -152,7 +152,7 @@ class Controller(MfpccController):
 
     def show(self, periods: int) -> None:
         sample = Wire(PhaseFeedback)
-        sample.fixed["dc_voltage"] = 311.0
+        sample.fixed["dc_voltage"], sample.fixed["derating"] = 311.0, 1.0
         for _ in range(periods):
             sample.fixed["period"] = self.period + 1
             self._on_feedback(sample.to_bytes())

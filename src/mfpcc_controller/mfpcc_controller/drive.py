@@ -93,6 +93,7 @@ def sample(cfg, mem, fb):
 
     if credible:
         mem.u_dc = fb.dc_voltage
+        mem.derating = fb.derating
         mem.theta_m = cfg.n_p * fb.encoder_angle
     else:
         if mem.u_dc == 0.0:
@@ -328,6 +329,7 @@ class Controller:
         self.cfg["n_p"] = self.motor.n_p
         self.cfg["i_max"] = self.motor.i_max
         self.cfg["enable"] = True
+        self.mem["derating"] = 1.0
         self.mem["active"] = -1
         self.mem["chosen"] = -1
         self._plug_in: plug_in.Host | None = None

@@ -28,6 +28,7 @@ FAULTS: dict[str, str] = {
     "SPINOUT": "mechanical power {value:.0f} W while the machine takes electrical power",
     "PREDICTION": "prediction error {value:.1f} A",
     "SCHEME": "the scheme gave no valid output",
+    "INVERTER": "the inverter has blocked its gates by itself",
 }
 CODES = tuple(FAULTS)
 N_FAULTS = len(CODES)
@@ -41,6 +42,7 @@ OVERSPEED = CODES.index("OVERSPEED")
 SPINOUT = CODES.index("SPINOUT")
 PREDICTION = CODES.index("PREDICTION")
 SCHEME = CODES.index("SCHEME")
+INVERTER = CODES.index("INVERTER")
 
 # Steps of more periods than this are a loss: five samples in between are missing.
 _GAP = np.uint64(5)
@@ -94,6 +96,8 @@ def plausible(cfg, fb):
         and fb.encoder_angle <= _ANGLE_END
         and fb.dc_voltage >= cfg.u_dc_min
         and fb.dc_voltage <= cfg.u_dc_max
+        and fb.derating >= 0.0
+        and fb.derating <= 1.0
     )
 
 
@@ -165,6 +169,8 @@ def _watch_power(cfg, mem):
 def watch(cfg, mem, fb):
     """Judge the drive by a sample that was accepted, after the observer has taken it."""
     guard = mem.guard
+    if fb.derating == 0.0:
+        trip(cfg, mem, INVERTER, 0.0)
     i_sq = square(mem.i_dq)
     if not i_sq <= cfg.overcurrent_sq:
         trip(cfg, mem, OVERCURRENT, math.sqrt(i_sq))

@@ -248,6 +248,7 @@ CONTROL_MEMORY = np.dtype(
         ("i_hat", np.complex128),  # predicted sample k, from k - 1; the scheme puts in sample k + 1
         ("e", np.complex128),  # i_dq - i_hat
         ("u_dc", np.float64),  # measured (V)
+        ("derating", np.float64),  # share of the current limit that the inverter allows
         # outputs of the periods k - 1 (past), k (now, committed) and k + 1 (next, to choose)
         ("past", OUTPUT),
         ("now", OUTPUT),

@@ -40,14 +40,14 @@ def _weaken(cfg, mem):
 
 @kernel
 def current_reference(cfg, mem):
-    """Set `mem.i_dq_ref`, within `cfg.i_max`.
+    """Set `mem.i_dq_ref`, within the share of `cfg.i_max` that the inverter allows.
 
     Speed control is a two-degree-of-freedom PI controller with active damping and
     back-calculation anti-windup (Harnefors, Saarakkala, Hinkkanen 2013,
     doi:10.1109/TIA.2013.2258392): no overshoot at a step of the reference, and a load step is
     answered with the same bandwidth.
     """
-    i_max = cfg.i_max
+    i_max = mem.derating * cfg.i_max
     i_d = cfg.i_dq_ref.real
     if cfg.weaken > 0.0:
         _weaken(cfg, mem)
@@ -72,7 +72,7 @@ def current_reference(cfg, mem):
         mem.speed_ready = True
     w_error = cfg.w_M_ref - w_M
     wish = cfg.k_t * w_error - damping * w_M + mem.i_q_int
-    i_s_max = cfg.i_s_max
+    i_s_max = min(cfg.i_s_max, i_max)
     i_s = min(max(wish, -i_s_max), i_s_max)
     if cfg.mtpa != 0.0:
         # the loop asks for torque; here it is made with the smallest current

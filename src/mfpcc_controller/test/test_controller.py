@@ -34,7 +34,7 @@ class Bench:
             for x, name in enumerate(("i_a", "i_b", "i_c")):
                 self.fb[name] = -2.0 * math.sin(4.0 * angle - 2.0 * math.pi / 3.0 * x)
             self.fb["period"], self.fb["dc_voltage"] = self.k, 311.0
-            self.fb["encoder_angle"] = angle
+            self.fb["encoder_angle"], self.fb["derating"] = angle, 1.0
             self.controller.step(self.fb, self.cmd, self.lut, True)
             self.k += 1
         return self

@@ -37,7 +37,7 @@ class Drive:
             angle = (self.k * self.speed * 1e-4) % (2.0 * math.pi)
             for x, name in enumerate(("i_a", "i_b", "i_c")):
                 fb[name] = -2.0 * math.sin(4.0 * angle - 2.0 * math.pi / 3.0 * x)
-            fb["encoder_angle"], fb["dc_voltage"] = angle, 311.0
+            fb["encoder_angle"], fb["dc_voltage"], fb["derating"] = angle, 311.0, 1.0
             for name, value in wrong.items():
                 fb[name] = value
             self.controller.step(fb, self.cmd, self.lut, True)
@@ -69,7 +69,14 @@ def test_a_single_bad_sample_is_bridged_and_two_disable():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"i_b": 1e9}, {"dc_voltage": -1.0}, {"dc_voltage": math.nan}, {"encoder_angle": -3.0}],
+    [
+        {"i_b": 1e9},
+        {"dc_voltage": -1.0},
+        {"dc_voltage": math.nan},
+        {"encoder_angle": -3.0},
+        {"derating": math.nan},
+        {"derating": 1.1},
+    ],
 )
 def test_samples_out_of_the_sensors_range_are_refused(wrong):
     drive = Drive().show(100).show(2, **wrong)
@@ -122,6 +129,40 @@ def test_bad_predictions_bring_the_fallback_and_then_the_stop():
     drive = Drive(scheme="mbpcc", mismatch_flux=100.0).show(100)
     assert "PREDICTION" in drive.codes
     assert drive.controller.scheme == "pi_foc"
+
+
+def test_an_inverter_that_has_blocked_its_gates_by_itself():
+    drive = Drive().show(100).show(1, derating=0.0)
+    assert not drive.enabled and drive.codes == ["INVERTER"]
+    assert drive.controller.clear_faults() == ["INVERTER"], "the cause lasts"
+    drive.show(100, derating=0.0)
+    assert drive.lut["i_dq_ref"][0].tolist() == [0.0, 0.0] and not drive.controller.failed
+    drive.show(1)
+    assert drive.controller.clear_faults() == [], "the inverter was cleared"
+    assert not drive.show(5).enabled, "the reference has not been at zero"
+
+
+@pytest.mark.parametrize("mode", ["speed", "current"])
+@pytest.mark.parametrize("field_weakening", [False, True])
+def test_the_current_reference_follows_what_the_inverter_allows(mode, field_weakening):
+    values = {
+        "control_mode": mode,
+        "speed_ref_rpm": 1400.0,
+        "i_q_ref": -11.0,
+        "i_d_ref": 3.0,
+        "field_weakening": field_weakening,
+    }
+    drive = Drive(**{name.replace(".", "_"): value for name, value in values.items()})
+
+    def amplitude(derating):
+        drive.show(50, derating=derating)
+        return math.hypot(*drive.lut["i_dq_ref"][0])
+
+    assert amplitude(1.0) > 11.0
+    assert amplitude(0.5) == pytest.approx(6.0)
+    assert amplitude(0.1) == pytest.approx(1.2)
+    assert amplitude(1.0) > 11.0
+    assert drive.enabled
 
 
 def test_without_the_reaction_it_only_tells():

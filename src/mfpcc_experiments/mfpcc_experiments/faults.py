@@ -8,6 +8,7 @@ drive believes:
 - were the gates off in the period of the trip (the inverter's), or in the next (the controller's);
 - did nothing restart by itself after the fault had gone;
 - did the drive find what has to be found, and call it by a name that fits;
+- did the current fall, and the gates stay on, where less current is all that is needed;
 - was every command that left the controller a valid one.
 
 The negative control runs the same cases with the reaction switched off, and has to see damage.
@@ -15,7 +16,6 @@ The negative control runs the same cases with the reaction switched off, and has
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +33,8 @@ from pmsm_sim.protection import OVERCURRENT
 DAMAGE = 22.0
 
 _START, _DURATION, _END = 0.05, 0.1, 0.25  # s
+_WARM = 95.0  # K: 115 degC, at which less current is allowed, but some
+_CONTROLLED = 1.0  # A: so far may the current be off its reference
 _NOISE = 0.0245  # A
 
 
@@ -58,16 +60,18 @@ POINTS = (
 
 @dataclass(frozen=True)
 class Case:
-    """One fault at one operating point."""
+    """One fault at one operating point; without a magnitude, with that of its unit."""
 
     unit: str
     kind: str
     point: Point
+    magnitude: float | None = None
 
     @property
     def injection(self) -> str:
         """As the plant's parameter wants it."""
-        return f"{_START} {_DURATION} {self.unit} {self.kind}"
+        magnitude = "" if self.magnitude is None else f" {self.magnitude:g}"
+        return f"{_START} {_DURATION} {self.unit} {self.kind}{magnitude}"
 
 
 @dataclass(frozen=True)
@@ -147,11 +151,17 @@ _REQUIRED: dict[tuple[str, str], str] = {
 
 
 def cases(points: Sequence[Point] = POINTS) -> list[Case]:
-    """The whole matrix: every unit with every type it has, at every operating point."""
+    """The whole matrix: every unit with every type it has, at every operating point.
+
+    And a temperature that does not trip yet, at each of them.
+    """
     return [
-        Case(unit, kind, point)
-        for point, (unit, kinds) in itertools.product(points, UNITS.items())
-        for kind in kinds
+        case
+        for point in points
+        for case in (
+            *(Case(unit, kind, point) for unit, kinds in UNITS.items() for kind in kinds),
+            Case("temperature", "slow", point, _WARM),
+        )
     ]
 
 
@@ -191,6 +201,7 @@ def _run(point: Point, supply: str, injections: list[str], react: bool) -> dict[
         {"scheme": point.scheme, "speed_ref_rpm": point.speed_rpm, "fault.react": react}
     )
     engine = Engine(plant, controller)
+    i_max = engine.plant.motor.i_max
     traces = list(engine.run(round(_END * plant["pwm_frequency"])))  # type: ignore[operator]
     par = engine.plant.par[0]
     # what a period at full voltage, back-EMF added, can add to the current at its start
@@ -207,6 +218,7 @@ def _run(point: Point, supply: str, injections: list[str], react: bool) -> dict[
         "controller_tripped": engine.controller.tripped,
         "limit": float(par["limit"][OVERCURRENT] + rise),
         "T_s": float(par["T_s"]),
+        "i_max": i_max,
     }
 
 
@@ -240,15 +252,31 @@ def _judge(case: Case, run: dict[str, Any], unharmed: dict[str, Any]) -> Verdict
             failures.append("power returned by itself")
     elif len(off):
         failures.append("gates off without a trip")
+    if case.magnitude is not None:
+        failures += _not_derated(run, codes)
 
     fitting = _FITTING[case.unit.rsplit("_", 1)[0] if case.unit[-2] == "_" else case.unit]
     if codes and codes[0] not in fitting:
         failures.append(f"{codes[0]} does not fit")
-    required = _REQUIRED.get((case.unit, case.kind))
+    required = _REQUIRED.get((case.unit, case.kind)) if case.magnitude is None else None
     if required is not None and not (required in codes if required else codes):
         failures.append(f"{required or 'it'} was not found")
     after = (off[0] - begin) * T_s if tripped and len(off) else float("nan")
     return Verdict(case, codes, after, current, tuple(failures))
+
+
+def _not_derated(run: dict[str, Any], codes: Sequence[str]) -> Iterator[str]:
+    """What is wrong where the drive should have gone on with less current."""
+    if codes:
+        yield f"{codes[0]} where less current is enough"
+    begin, middle = round(_START / run["T_s"]), round((_START + 0.5 * _DURATION) / run["T_s"])
+    derated = slice(middle, 2 * middle - begin)
+    allowed = run["feedback"]["derating"][derated] * run["i_max"] + _CONTROLLED
+    i_dq = run["state"]["i_dq"][derated]
+    if not np.all(np.hypot(i_dq[:, 0], i_dq[:, 1]) <= allowed):
+        yield "more current than the inverter allows"
+    if not np.min(allowed) < 0.5 * run["i_max"]:
+        yield "no less current was allowed"
 
 
 # Faults that bring the fallback scheme, and stop only if that fails too.

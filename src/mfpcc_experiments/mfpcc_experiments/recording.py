@@ -347,8 +347,8 @@ def _check_type(path: Path, topic: mcap_file.Topic, type_name: str) -> None:
 
 
 def _fields(definition: str) -> list[str]:
-    """Fields of a message definition without comments and layout."""
-    lines = (" ".join(line.split("#")[0].split()) for line in definition.splitlines())
+    """Fields of a message definition, type and name, without comments, defaults and layout."""
+    lines = (" ".join(line.split("#")[0].split()[:2]) for line in definition.splitlines())
     return [line for line in lines if line]
 
 

@@ -52,6 +52,7 @@ def messages(
         feedback.fixed["i_a"], feedback.fixed["i_b"], feedback.fixed["i_c"] = i_abc[0]
         feedback.fixed["encoder_angle"] = theta_M[0] % (2 * np.pi)
         feedback.fixed["dc_voltage"] = 311.0
+        feedback.fixed["derating"] = 1.0
         command.fixed["period"] = k + 1
         command.fixed["duty"] = (0.4, 0.5, 0.6)
         command.fixed["enable"] = True

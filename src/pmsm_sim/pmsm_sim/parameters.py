@@ -43,6 +43,11 @@ def _check(values: Mapping[str, Value]) -> str | None:
             f"'dc_link.chopper_off' = {number['dc_link.chopper_off']:g} is out of range: it must "
             f"be below 'dc_link.chopper_on' ({number['dc_link.chopper_on']:g} V)"
         )
+    if number["fault.derating_temperature"] > number["fault.overtemperature"]:
+        return (
+            f"'fault.derating_temperature' = {number['fault.derating_temperature']:g} is out of "
+            f"range: at most 'fault.overtemperature' ({number['fault.overtemperature']:g} degC)"
+        )
     if number["load.shaft_stiffness"] > 0.0 and number["load.inertia"] == 0.0:
         return "'load.inertia' = 0 is out of range: behind an elastic shaft it must be above 0"
     return _check_profile(cast("list[float]", values["load.profile"])) or _check_injections(values)
@@ -217,6 +222,15 @@ TABLE = Table(
             "fault.overtemperature",
             125.0,
             "Winding temperature that trips",
+            unit="degC",
+            minimum=0.0,
+            maximum=500.0,
+        ),
+        Parameter(
+            "fault.derating_temperature",
+            100.0,
+            "Winding temperature from which the inverter allows less current, in proportion down "
+            "to none at 'fault.overtemperature'; the same value: it only trips",
             unit="degC",
             minimum=0.0,
             maximum=500.0,

@@ -407,6 +407,7 @@ def _set_protection(par: np.void, values: Mapping[str, Any], pars: motor.MotorPa
     limit[DC_OVERVOLTAGE] = values["fault.dc_overvoltage"] * pars.u_dc
     limit[DC_UNDERVOLTAGE] = values["fault.dc_undervoltage"] * pars.u_dc
     limit[OVERTEMPERATURE] = values["fault.overtemperature"]
+    par["hot"] = values["fault.derating_temperature"]
 
 
 def _set_machine(

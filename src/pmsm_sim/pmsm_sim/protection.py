@@ -3,7 +3,8 @@
 It has sensors of its own (shunts at the switches, the DC link, the heat sink), so a fault of the
 sensors that the controller reads does not blind it. What it finds blocks the gates in the same
 period and stays until it is cleared, which is refused while the cause lasts; the gates come back
-only after a command that had them off, so that power never returns into a running set-point.
+only after a command that had them off, so that power never returns into a running set-point. Heat
+comes slowly: before it trips, the inverter allows less current, and tells the controller so.
 """
 
 from __future__ import annotations
@@ -57,8 +58,20 @@ def protect(par, st):
     if st.armed and not u_dc >= par.limit[DC_UNDERVOLTAGE]:
         trip(par, st, DC_UNDERVOLTAGE, u_dc)
     temperature = st.temperature + st.injector.warmth
-    if not temperature <= par.limit[OVERTEMPERATURE]:
-        trip(par, st, OVERTEMPERATURE, temperature)
+    st.derating = 1.0
+    if not temperature <= par.hot:
+        limit = par.limit[OVERTEMPERATURE]
+        if temperature <= limit:
+            st.derating = (limit - temperature) / (limit - par.hot)
+        else:
+            st.derating = 0.0
+            trip(par, st, OVERTEMPERATURE, temperature)
+
+
+@kernel
+def allowed_current(st):
+    """Share of the current limit that the drive may use: it is told with each sample."""
+    return 0.0 if st.tripped or st.awaits_off else st.derating
 
 
 def named(faults: int) -> list[str]:

@@ -66,6 +66,7 @@ PLANT_PAR = np.dtype(
         # protection (see `protection`)
         ("react", np.bool_),  # whether a fault blocks the gates
         ("limit", np.float64, (N_FAULTS,)),  # of the quantity that each fault looks at
+        ("hot", np.float64),  # temperature from which less current is allowed (degC)
         # what load_torque and dc_voltage say, before injected faults
         ("tau_set", np.float64),  # (N m)
         ("u_dc_set", np.float64),  # (V)
@@ -196,6 +197,7 @@ PLANT_STATE = np.dtype(
         ("refused", np.uint64),  # since the start
         ("tripped", np.bool_),  # gates off until cleared
         ("awaits_off", np.bool_),  # cleared: gates off until a command has had them off
+        ("derating", np.float64),  # share of the current limit that the temperature allows
         ("present", np.uint32),  # faults whose cause is there in this period, bit by bit
         ("faults", np.uint32),  # those latched
         ("fault_at", np.uint64, (N_FAULTS,)),  # period of the first occurrence

@@ -1,4 +1,4 @@
-"""What the drive measures: phase currents, rotor angle, DC-link voltage.
+"""What the drive measures: phase currents, rotor angle, DC-link voltage; and what it is allowed.
 
 A phase-current sensor shows `(1 + gain error) i + offset + noise`; its low-pass and the sampling
 instant act on i before that (`general`), the analogue-to-digital converter after it. An
@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from pmsm_sim.noise import normal
+from pmsm_sim.protection import allowed_current
 from pwm_node.compiled import kernel
 
 _SQRT3_2 = 0.5 * math.sqrt(3.0)
@@ -81,3 +82,4 @@ def sample(par, st, c, s, fb):
     fb.i_c = i_c
     fb.encoder_angle = angle
     fb.dc_voltage = st.u_dc if par.rectifier and st.general_before else par.u_dc
+    fb.derating = allowed_current(st)

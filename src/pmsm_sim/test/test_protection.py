@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pmsm_sim.parameters import TABLE
+from pwm_node.parameters import ParameterError
+
 
 def _codes(drive):
     return [code for code, _, _ in drive.plant.faults()]
@@ -47,6 +50,33 @@ def test_without_the_reaction_the_gates_stay_on(bench, code):
     drive.run(1)
     assert drive.state[-1]["gates_on"]
     assert _codes(drive) == [code]
+
+
+@pytest.mark.parametrize(
+    ("temperature", "share"), [(20.0, 1.0), (100.0, 1.0), (110.0, 0.6), (124.0, 0.04), (126.0, 0.0)]
+)
+def test_less_current_is_allowed_before_the_temperature_trips(bench, temperature, share):
+    drive = bench(drift_temperature=temperature).run(2)
+    assert drive.feedback[-1]["derating"] == pytest.approx(share)
+    assert drive.column("gates_on").all() == (share > 0.0)
+
+
+def test_gates_that_are_blocked_are_told_as_no_current_allowed(bench):
+    drive = bench().run(2)
+    drive.plant.stop()
+    drive.run(1)
+    assert drive.feedback[-1]["derating"] == 0.0
+    assert drive.plant.clear_faults() == []
+    drive.run(1)
+    assert drive.feedback[-1]["derating"] == 0.0, "the command has not been off"
+    drive.run(1, enable=False)
+    assert drive.feedback[-1]["derating"] == 1.0
+
+
+def test_the_derating_begins_below_the_trip():
+    with pytest.raises(ParameterError, match=r"fault\.derating_temperature"):
+        TABLE.complete({"fault.derating_temperature": 130.0})
+    TABLE.complete({"fault.derating_temperature": 130.0, "fault.overtemperature": 130.0})
 
 
 def test_a_current_that_is_no_number_trips(bench):

@@ -132,9 +132,9 @@ def test_fixed_part_of_a_message_that_is_not_fixed():
     ("data", "says"),
     [
         (b"", "not little-endian CDR"),
-        (b"\x00\x00\x00\x00" + bytes(56), "not little-endian CDR"),
-        (HEADER + bytes(55), "59 bytes came where 60 are expected"),
-        (HEADER + bytes(60), "64 bytes came where 60 are expected"),
+        (b"\x00\x00\x00\x00" + bytes(64), "not little-endian CDR"),
+        (HEADER + bytes(63), "67 bytes came where 68 are expected"),
+        (HEADER + bytes(68), "72 bytes came where 68 are expected"),
     ],
 )
 def test_refuses_other_messages_and_keeps_the_last(data, says):
@@ -147,8 +147,8 @@ def test_refuses_other_messages_and_keeps_the_last(data, says):
 
 def test_up_to_three_bytes_of_padding_are_ignored():
     wire = Wire(messages.PhaseFeedback)
-    wire.load(HEADER + bytes(59))
-    assert len(wire.to_bytes()) == 60
+    wire.load(HEADER + bytes(67))
+    assert len(wire.to_bytes()) == 68
 
 
 def test_refuses_lists_of_other_lengths_and_texts_too_long():

@@ -51,11 +51,12 @@ def _show(verdicts: Sequence[Verdict]) -> None:
     )
     for verdict in verdicts:
         case = verdict.case
+        fault = case.kind if case.magnitude is None else f"{case.kind} {case.magnitude:g}"
         after = "-"
         if verdict.tripped_after == verdict.tripped_after:
             after = f"{verdict.tripped_after * 1e3:.1f} ms"
         click.echo(
-            f"{case.unit:<14}{case.kind:<14}{case.point!s:<34}{after:>10}"
+            f"{case.unit:<14}{fault:<14}{case.point!s:<34}{after:>10}"
             f"{verdict.current:>7.1f} A  {', '.join(verdict.codes) or '-'}"
         )
         for failure in verdict.failures:
