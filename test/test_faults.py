@@ -199,6 +199,23 @@ def test_samples_are_missed_while_the_drive_is_enabled_and_by_who_was_there_to_s
     assert controller.codes == [], "nothing is enabled"
 
 
+def test_a_scheme_that_takes_too_long_is_replaced_and_then_the_fallback_stopped(
+    controller: Controller,
+) -> None:
+    budget = [Parameter("fault.step_budget", value=1e-3)]  # us: no step can be so short
+    controller.show(50)
+    assert controller.core.scheme == "mls_mfpcc"
+    assert controller.set_parameters(budget)[0].successful
+    controller.show(10)
+    assert controller.codes == [] and controller.core.scheme == "mls_mfpcc"
+    controller.show(10)
+    assert controller.codes == ["SCHEME"] and controller.core.scheme == "pi_foc"
+    assert "fault.step_budget" in controller.core.faults()[0][2]
+    assert not controller.core.tripped and controller._command.fixed["enable"][0]
+    controller.show(1)
+    assert controller.core.tripped and not controller._command.fixed["enable"][0]
+
+
 @pytest.mark.parametrize(
     "injection",
     [

@@ -65,7 +65,7 @@ def _forget(mem):
 
 @kernel
 def _give_up(cfg, mem):
-    """The scheme in control predicts badly: the fallback from now on; if it is it, the gates."""
+    """The scheme in control does badly: the fallback from now on; if it is it, the gates."""
     _forget(mem)
     if mem.fallen or cfg.fallback == cfg.scheme:
         mem.failed = True
@@ -123,7 +123,9 @@ def sample(cfg, mem, fb):
         mem.chosen = cfg.scheme
         mem.fallen = False
         mem.failed = False
-    if protection.misled(cfg, mem) and cfg.react:
+        mem.guard.overrun = 0.0
+    misled, overran = protection.misled(cfg, mem), protection.overran(cfg, mem)
+    if (misled or overran) and cfg.react:
         _give_up(cfg, mem)
     active = cfg.fallback if mem.fallen else cfg.scheme
     mem.kept = mem.active == active
@@ -410,6 +412,10 @@ class Controller:
         if self.values["fault.react"]:
             guard["tripped"] = True
 
+    def overran(self, microseconds: float) -> None:
+        """Let another scheme take over with the next sample: this one has taken so long."""
+        self.mem["guard"]["overrun"] = microseconds
+
     def clear_faults(self) -> list[str]:
         """Forget the latched faults; returns those whose cause lasts, and then clears none.
 
@@ -431,11 +437,13 @@ class Controller:
     def faults(self) -> list[tuple[str, int, str]]:
         """Latched faults, oldest first: code, period of the first occurrence, what was seen."""
         guard = self.mem["guard"][0]
-        found = [
-            (code, int(guard["at"][bit]), text.format(value=float(guard["value"][bit])))
-            for bit, (code, text) in enumerate(protection.FAULTS.items())
-            if int(guard["faults"]) >> bit & 1
-        ]
+        found = []
+        for bit, (code, text) in enumerate(protection.FAULTS.items()):
+            value = float(guard["value"][bit])
+            if bit == protection.SCHEME and value > 0.0:
+                text = protection.OVERRUN
+            if int(guard["faults"]) >> bit & 1:
+                found.append((code, int(guard["at"][bit]), text.format(value=value)))
         return sorted(found, key=lambda fault: fault[1])
 
     @property

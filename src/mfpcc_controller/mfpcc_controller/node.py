@@ -5,6 +5,7 @@ It answers the sample of period k with the command for period k + 1.
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Iterable, Mapping
@@ -34,6 +35,7 @@ from pwm_node.wire import Wire, WireError
 
 _LOOK_EVERY = 0.01  # s
 _WATCH_EVERY = 0.1  # s
+_OVERRUNS = 10  # in a row are too many
 # A sample that is older by less than this has been overtaken; else the plant has begun anew.
 _OVERTAKEN = 100
 _START_PLANT = "ros2 run pmsm_sim pmsm_sim"
@@ -70,6 +72,7 @@ class MfpccController(PwmNode):
         self._feedback = Wire(PhaseFeedback)
         self._command = Wire(DutyCommand)
         self._lut = Wire(LutDiagnostics)
+        self._set_budget()
         self._compile()
         self.core = Controller(self.values)
         self._follow_core()
@@ -167,7 +170,12 @@ class MfpccController(PwmNode):
         tell = self._decimation > 0 and k % self._decimation == 0
         begin = time.perf_counter_ns()
         core.step(feedback.fixed, self._command.fixed, self._lut.fixed, tell)
-        self.step_times.add(time.perf_counter_ns() - begin)
+        took = time.perf_counter_ns() - begin
+        self.step_times.add(took)
+        if took > self._budget:
+            self._count_overrun(took)
+        else:
+            self._overruns = 0
         self.period = k
         if self._fallen[0] != self._told_fallen:
             self._tell_fallback()
@@ -176,6 +184,17 @@ class MfpccController(PwmNode):
             self.tell_status()
         if tell:
             self._lut_out.publish(self._lut.to_bytes())
+
+    def _count_overrun(self, took: int) -> None:
+        """Count a step (ns) beyond the budget; too many in a row are a fault of the scheme."""
+        self._overruns += 1
+        if self._overruns == _OVERRUNS:
+            self._overruns = 0
+            self.core.overran(took * 1e-3)
+
+    def _set_budget(self) -> None:
+        self._budget = self.values["fault.step_budget"] * 1e3 or math.inf  # ns
+        self._overruns = 0
 
     def _out_of_turn(self, k: int) -> bool:
         """Handle a sample that is not the next one; return whether to answer it."""
@@ -271,7 +290,9 @@ class MfpccController(PwmNode):
             )
 
     def parameters_changed(self, changes: Mapping[str, Any]) -> None:
-        """Tell of a change of the scheme."""
+        """Follow a change of the scheme, and of the time it may take."""
+        if "scheme" in changes or "fault.step_budget" in changes:
+            self._set_budget()
         if "scheme" in changes:
             self._lut.set_string("scheme", self.core.scheme)
             self.tell_status()
@@ -304,9 +325,10 @@ class MfpccController(PwmNode):
         self._told_fallen = self.core.fallen
         self._lut.set_string("scheme", self.core.scheme)
         if self.core.fallen:
+            details = {code: detail for code, _, detail in self.core.faults()}
+            why = self.core.complaint or details.get("SCHEME") or details.get("PREDICTION")
             self.get_logger().error(
-                f"scheme '{self.values['scheme']}' failed in period {self.period}: "
-                f"{self.core.complaint or 'its output is not finite'}; "
+                f"scheme '{self.values['scheme']}' failed in period {self.period}: {why}; "
                 f"'{self.core.scheme}' took over"
             )
         self.tell_status()

@@ -349,6 +349,16 @@ TABLE = Table(
             maximum=1e3,
         ),
         Parameter(
+            "fault.step_budget",
+            0.0,
+            "Wall-clock time that a step of the scheme may take: ten in a row beyond it bring the "
+            "fallback scheme; 0: any time, so that a run does not depend on how fast the machine "
+            "is",
+            unit="us",
+            minimum=0.0,
+            maximum=1e6,
+        ),
+        Parameter(
             "diagnostics_decimation",
             1,
             "lut_diagnostics is published every so many periods; 0: never",

@@ -27,9 +27,11 @@ FAULTS: dict[str, str] = {
     "OVERSPEED": "{value:.0f} rad/s",
     "SPINOUT": "mechanical power {value:.0f} W while the machine takes electrical power",
     "PREDICTION": "prediction error {value:.1f} A",
-    "SCHEME": "the scheme gave no valid output",
+    "SCHEME": "the scheme gave no valid output",  # or OVERRUN
     "INVERTER": "the inverter has blocked its gates by itself",
 }
+#: What is said of a scheme that takes too long
+OVERRUN = "ten steps in a row took longer than 'fault.step_budget', the last {value:.3g} us"
 CODES = tuple(FAULTS)
 N_FAULTS = len(CODES)
 
@@ -204,6 +206,17 @@ def misled(cfg, mem):
         return False
     guard.wrong = 0.0
     report(cfg, mem, PREDICTION, math.sqrt(square(mem.e)))
+    return True
+
+
+@kernel
+def overran(cfg, mem):
+    """Whether the scheme has taken so long that another has to take over; the node has timed it."""
+    took = mem.guard.overrun
+    if took == 0.0:
+        return False
+    mem.guard.overrun = 0.0
+    report(cfg, mem, SCHEME, took)
     return True
 
 

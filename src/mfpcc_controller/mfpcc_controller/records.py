@@ -219,6 +219,7 @@ GUARD_MEMORY = np.dtype(
         ("electrical", np.float64),  # filtered powers (W)
         ("mechanical", np.float64),
         ("wrong", np.float64),  # time with bad predictions (s)
+        ("overrun", np.float64),  # step time that was too long too often (us); 0: none was
     ],
     align=True,
 )

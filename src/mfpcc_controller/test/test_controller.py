@@ -15,7 +15,7 @@ from mfpcc_controller.plug_in import Output, Sample, Scheme
 from pwm_node.wire import fixed_dtype
 
 # What the node does, not the controller
-NODE = {"fault.feedback_timeout"}
+NODE = {"fault.feedback_timeout", "fault.step_budget"}
 
 
 class Bench:
