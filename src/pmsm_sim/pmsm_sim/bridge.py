@@ -107,7 +107,9 @@ def solve(par, br, el, i_d, i_q, w_m, c, s, u_dc):
     # induced voltage at constant i_dq
     emf_d, emf_q = w_m * (turn_d - psi_q), w_m * (turn_q + psi_d)
     i_alpha, i_beta = c * i_d - s * i_q, s * i_d + c * i_q  # what magnetises; G e adds to it
-    R, G = par.R_s, par.iron_conductance
+    # The field of a leg without current dies away within L G, and steps cannot be as short as they
+    # like: a conductance too small for them acts as the smallest they can follow.
+    R, G, G_floating = par.R_s, par.iron_conductance, par.iron_floating
 
     z = floating_leg(br)
     if z == NONE_FLOATS:
@@ -138,7 +140,8 @@ def solve(par, br, el, i_d, i_q, w_m, c, s, u_dc):
             el.v[x] = v - r * (_AXIS_ALPHA[x] * i_alpha + _AXIS_BETA[x] * i_beta)
     elif z == ALL_FLOAT:
         if G > 0.0:
-            e_alpha, e_beta = -i_alpha / G, -i_beta / G  # the field dies away in the iron
+            # the field dies away in the iron
+            e_alpha, e_beta = -i_alpha / G_floating, -i_beta / G_floating
             i_alpha = i_beta = 0.0
         else:
             # the derivative of i_alpha_beta is zero
@@ -159,7 +162,7 @@ def solve(par, br, el, i_d, i_q, w_m, c, s, u_dc):
         i_t, i_n = t_a * i_alpha + t_b * i_beta, n_a * i_alpha + n_b * i_beta
         e_t = ((v_x - v_y) / _SQRT3 - R_t * i_t) / (1.0 + G * R_t)
         if G > 0.0:
-            e_n = -i_n / G
+            e_n = -i_n / G_floating
             i_t += G * e_t
             i_alpha, i_beta = i_t * t_a, i_t * t_b
         else:

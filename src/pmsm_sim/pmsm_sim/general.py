@@ -218,7 +218,7 @@ def _longest_step(par, st, y):
         h = angle / w_m
     if par.iron_conductance > 0.0 and floating_leg(st.bridge) != NONE_FLOATS:
         # the field of a floating leg dies away within L G
-        h = min(h, 0.5 * min(par.L_d, par.L_q) * par.iron_conductance)
+        h = min(h, 0.5 * min(par.L_d, par.L_q) * par.iron_floating)
     # beyond that no drive makes sense, and a run must end
     return max(h, par.T_s / MOST_STEPS)
 

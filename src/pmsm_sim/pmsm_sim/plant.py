@@ -18,7 +18,7 @@ import numpy as np
 
 from pmsm_sim import flux_map, motor
 from pmsm_sim.general import integrate
-from pmsm_sim.ideal import integrate_ideal
+from pmsm_sim.ideal import MOST_STEPS, integrate_ideal
 from pmsm_sim.injection import (
     FREEZE,
     LOSE,
@@ -425,6 +425,9 @@ def _set_machine(
     par["harmonics"] = any(ratios)
     R_iron = values["machine.iron_loss_resistance"]
     par["iron_conductance"] = 1.0 / R_iron if R_iron > 0.0 else 0.0
+    shortest = par["T_s"] / MOST_STEPS
+    smallest = 2.0 * shortest / min(par["L_d"], par["L_q"])
+    par["iron_floating"] = max(par["iron_conductance"], smallest)
 
 
 def _set_dc_link(par: np.void, values: Mapping[str, Any]) -> None:
@@ -446,7 +449,8 @@ def _set_mechanics(par: np.void, values: Mapping[str, Any], pars: motor.MotorPar
     par["J"] = pars.J if par["shaft"] else pars.J + values["load.inertia"]
     par["J_load"] = values["load.inertia"]
     lag = values["load.brake_lag"]
-    par["brake_rate"] = 1.0 / lag if lag > 0.0 else 0.0
+    # one that is faster than the shortest step cannot be told from it
+    par["brake_rate"] = min(1.0 / lag, MOST_STEPS / par["T_s"]) if lag > 0.0 else 0.0
     points = values["load.profile"]
     n = len(points) // 2
     if not any(points[1::2]):
@@ -457,7 +461,8 @@ def _set_mechanics(par: np.void, values: Mapping[str, Any], pars: motor.MotorPar
 
 
 def _set_sensors(par: np.void, values: Mapping[str, Any]) -> None:
-    par["filter_rate"] = _TWO_PI * values["sensor.current_bandwidth"]
+    # a low-pass that is faster than the shortest step cannot be told from it
+    par["filter_rate"] = min(_TWO_PI * values["sensor.current_bandwidth"], MOST_STEPS / par["T_s"])
     bits = values["sensor.adc_bits"]
     par["adc_codes"] = 2.0 ** (bits - 1)
     par["adc_step"] = values["sensor.adc_range"] / par["adc_codes"] if bits > 0 else 0.0

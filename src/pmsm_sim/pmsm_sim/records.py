@@ -85,6 +85,7 @@ PLANT_PAR = np.dtype(
         ("diode_resistance", np.float64),
         # machine beyond the linear equations
         ("iron_conductance", np.float64),  # across the induced voltage (S); 0: no iron loss
+        ("iron_floating", np.float64),  # the same for legs without current (see `bridge.solve`)
         ("psi_h", np.float64, (4,)),  # 5th, 7th, 11th, 13th harmonic of the magnet flux (V s)
         ("harmonics", np.bool_),  # whether there are any
         ("cogging_torque", np.float64),  # (N m)
