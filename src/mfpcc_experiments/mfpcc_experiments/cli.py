@@ -31,6 +31,7 @@ _FOR_PEOPLE = {
     "mfpcc_experiments.metrics.MetricsError",
     "mfpcc_experiments.replay.ReplayError",
     "mfpcc_experiments.result_folder.ResultFolderError",
+    "pmsm_sim.plant.PlantError",
     "pwm_node.parameters.ParameterError",
     "pwm_node.schedule.ScheduleError",
     "pwm_node.yaml_files.FileError",

@@ -67,6 +67,12 @@ REFERENCE_TEMPERATURE = 20.0
 # Longest step of the general model, over the fastest time constant there is.
 _STEP_PER_TIME_CONSTANT = 0.15
 _BRAKE = LOAD_KINDS.index("brake")
+# No current (A), speed (rad/s), voltage (V) or torque (N m) of a drive.
+_BEYOND = 1e9
+
+
+class PlantError(ValueError):
+    """A simulation that has run away; no sample of it leaves the plant."""
 
 
 @kernel
@@ -206,6 +212,13 @@ def advance(par_, st_, fb_, ds_, i_abc, legs_out):
     st.theta_M = wrapped(st.theta_M + turn_M)
     st.energy_in += energy
     st.period += np.uint64(1)
+    size = abs(st.i_d) + abs(st.i_q) + abs(st.w_M) + abs(st.u_dc)
+    size += abs(st.i_f_alpha) + abs(st.i_f_beta) + abs(st.w_L) + abs(st.tau_brake)
+    if not size < _BEYOND:  # written so that NaN is beyond
+        raise PlantError(
+            "the simulated drive has left what can be simulated: check the motor file, and among "
+            "the parameters those of load, speed and DC link"
+        )
 
 
 class Plant:

@@ -7,7 +7,7 @@ import pytest
 
 from pmsm_sim.noise import normal
 from pmsm_sim.parameters import TABLE
-from pmsm_sim.plant import Plant
+from pmsm_sim.plant import Plant, PlantError
 from pwm_node.parameters import ParameterError
 
 _RPM = 2.0 * np.pi / 60.0
@@ -66,11 +66,12 @@ def test_a_low_pass_switched_on_while_running_begins_at_the_current(bench):
     assert _feedback(drive)[-1] == pytest.approx(_feedback(drive)[-3], abs=0.5)
 
 
-def test_a_run_ends_even_when_it_makes_no_sense(bench):
+def test_a_run_that_makes_no_sense_ends_with_an_error(bench):
     drive = bench(motor="maxon_ec45flat_30w_12v", load_torque=-1e4)
-    drive.run(300)
-    drive.run(100, enable=False)
-    assert drive.st["period"][0] == 400
+    with pytest.raises(PlantError, match="check the motor file"):
+        drive.run(300).run(100, enable=False)
+    for row in drive.feedback:
+        assert all(np.isfinite(row[name]) for name in ("i_a", "encoder_angle", "dc_voltage"))
 
 
 def test_sampling_lead(bench):
