@@ -55,7 +55,7 @@ def protect(par, st):
     if not u_dc <= par.limit[DC_OVERVOLTAGE]:
         trip(par, st, DC_OVERVOLTAGE, u_dc)
     # before the first command the DC link may still be charging
-    if st.armed and not u_dc >= par.limit[DC_UNDERVOLTAGE]:
+    if (st.armed or st.latched) and not u_dc >= par.limit[DC_UNDERVOLTAGE]:
         trip(par, st, DC_UNDERVOLTAGE, u_dc)
     temperature = st.temperature + st.injector.warmth
     st.derating = 1.0
