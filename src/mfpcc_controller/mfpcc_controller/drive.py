@@ -181,10 +181,14 @@ def _show(cfg, mem, diag):
 
 @kernel
 def _sound(mem):
-    """Whether the chosen output can be given to the inverter; written so that NaN is not."""
+    """Whether the chosen output can be given to the inverter; written so that NaN is not.
+
+    A built-in scheme that predicts no number has lost its way too; a plug-in need not predict.
+    """
     out = mem.next
     return (
-        out.d_a >= 0.0
+        (mem.active >= _BUILT_IN or abs(mem.i_hat) < np.inf)
+        and out.d_a >= 0.0
         and out.d_b >= 0.0
         and out.d_a + out.d_b <= _WHOLE_PERIOD
         and out.a >= 0

@@ -76,9 +76,9 @@ def update_linear(mem, u_min):
     u = scaled(mem.u_dc, mem.past.u * mem.turn_past)
     if lut.history:
         d_di, d_u = di - lut.di_prev, u - lut.u_prev
-        if abs(d_u.real) >= u_min:
+        if abs(d_u.real) > u_min:
             lut.gain_d = d_di.real / d_u.real
-        if abs(d_u.imag) >= u_min:
+        if abs(d_u.imag) > u_min:
             lut.gain_q = d_di.imag / d_u.imag
         gain_d, gain_q = lut.gain_d, lut.gain_q
         g_0 = complex(di.real - gain_d * u.real, di.imag - gain_q * u.imag)
