@@ -398,6 +398,10 @@ class Controller:
         guard = self.mem["guard"][0]
         if guard["slowing"] or self.tripped:
             return
+        if guard["awaits_zero"]:
+            # the gates are off; a ramp to zero would bring the power back
+            self.stop()
+            return
         if not self.cfg["speed_control"][0]:
             self.cfg["speed_control"] = True
             self.cfg["w_M_ref"] = self.mem["w_m"] / self.cfg["n_p"]
