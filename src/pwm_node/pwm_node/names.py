@@ -1,9 +1,19 @@
-"""Sentences about names that do not exist, with the nearest one that does."""
+"""Sentences about names that do not exist, with the nearest one that does; and values in them."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+
+_LONGEST = 60
+
+
+def shown(value: object) -> str:
+    """Return a value as part of a sentence, cut where it is long."""
+    if isinstance(value, int) and value.bit_length() > 4 * _LONGEST:
+        return f"a whole number of {value.bit_length()} bits"  # Python refuses to write it out
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
@@ -21,7 +31,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
     """
     known = list(known)
     best = nearest(name, known)
-    sentence = f"unknown {kind} '{name}'"
+    sentence = f"unknown {kind} '{name if len(name) <= _LONGEST else name[: _LONGEST - 3] + '...'}'"
     if best is not None:
         sentence += f"; did you mean '{best}'?"
     else:

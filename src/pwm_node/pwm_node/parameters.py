@@ -141,23 +141,29 @@ class Parameter:
     def _number(self, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self._wrong_type(value)
-        if not math.isfinite(value):
-            raise ParameterError(f"'{self.name}' must be a finite number, not {value}")
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise ParameterError(f"'{self.name}' must be a finite number, not {names.shown(value)}")
         self._check_range(value)
-        return float(value)
+        return number
 
     def _check_range(self, value: float) -> None:
         low = -math.inf if self.minimum is None else self.minimum
         high = math.inf if self.maximum is None else self.maximum
         if not low <= value <= high:
-            raise ParameterError(f"'{self.name}' = {value} is out of range: {self.limits}")
+            raise ParameterError(
+                f"'{self.name}' = {names.shown(value)} is out of range: {self.limits}"
+            )
 
     def _wrong_type(self, value: Any) -> ParameterError:
         expected = _KIND_NAMES[self.kind]
         if self.limits:
             expected += f" ({self.limits})"
         return ParameterError(
-            f"'{self.name}' = {value!r} has the wrong type: {expected} is expected"
+            f"'{self.name}' = {names.shown(value)} has the wrong type: {expected} is expected"
         )
 
 
