@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from ament_index_python.packages import get_package_prefix
+from domains import own_domain
 from harness import Process
-
-# Domains above 101 collide with ephemeral ports on Linux; 0 is where a user's own drive runs.
-_DOMAINS = itertools.cycle(range(2, 100))
-_FIRST = os.getpid() % 97
 
 
 @pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> int:
-    """A ROS domain that no other test of this run has."""
-    number = 2 + (next(_DOMAINS) + _FIRST) % 98
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return number
+def domain() -> Iterator[int]:
+    """A ROS domain that no other test on this machine has."""
+    with own_domain() as number:
+        yield number
 
 
 @pytest.fixture

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
+from domains import own_domain
 
 
 @pytest.fixture(scope="module")
@@ -16,13 +16,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The demo's results."""
     out = tmp_path_factory.mktemp("demo") / "out"
     schemes = [word for name in ("mbpcc", "mfpcc", "mls_mfpcc") for word in ("--scheme", name)]
-    done = subprocess.run(
-        ["mfpcc", "run", "steady_750_2", *schemes, "--out", str(out)],
-        capture_output=True,
-        text=True,
-        timeout=110,
-        env={**os.environ, "ROS_DOMAIN_ID": "101"},  # set before `domain` has chosen one
-    )
+    with own_domain():
+        done = subprocess.run(
+            ["mfpcc", "run", "steady_750_2", *schemes, "--out", str(out)],
+            capture_output=True,
+            text=True,
+            timeout=110,
+        )
     assert done.returncode == 0, done.stdout + done.stderr
     assert str(out / "report.html") in done.stdout
     return out

@@ -1,8 +1,6 @@
 """What the tests of this package share: a graph of its own for each test."""
 
 import importlib.util
-import itertools
-import os
 import signal
 import subprocess
 import sys
@@ -11,18 +9,16 @@ import time
 from pathlib import Path
 
 import pytest
+from domains import own_domain
 
 TOY = Path(__file__).with_name("toy.py")
-_numbers = itertools.count()
 
 
 @pytest.fixture
-def domain(monkeypatch):
+def domain():
     """A ROS domain for this test alone, on this machine only."""
-    number = 1 + (os.getpid() * 17 + next(_numbers)) % 100
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return number
+    with own_domain() as number:
+        yield number
 
 
 @pytest.fixture

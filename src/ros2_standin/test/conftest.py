@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 import signal
 import subprocess
 import sys
@@ -14,14 +12,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from domains import own_domain
 
 from ros2_standin.main import main
 
 COMMAND = Path(__file__).parents[1] / "path/ros2"
 REMOTE = Path(__file__).with_name("remote.py")
 PATIENCE = 40.0  # s, for whatever others have to do on a busy machine
-
-_numbers = itertools.count()
 
 
 class Outcome(NamedTuple):
@@ -108,10 +105,7 @@ def eventually(ros2: Callable[..., Outcome]) -> Callable[..., Outcome]:
 @pytest.fixture(scope="module")
 def domain() -> Iterator[int]:
     """A ROS domain for one test file, on this machine only."""
-    number = 1 + (os.getpid() * 13 + next(_numbers)) % 100
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(number))
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with own_domain() as number:
         yield number
 
 
