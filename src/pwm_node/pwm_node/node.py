@@ -78,8 +78,8 @@ class PwmNode(LifecycleNode):
         The message that lets the loop go on: the first loop subscription, unless set otherwise.
         None while nothing is due, after the end of a run for instance.
     changes : deque of dict
-        The latest changes of parameters since the start (period, name, value), the scheduled ones
-        too.
+        The latest changes of parameters since the start (period, name, value, and what it `was`
+        before), the scheduled ones too.
     missed_periods, lost_periods : int
         Totals for the diagnostics; the subclass counts.
     finished : Future
@@ -201,9 +201,10 @@ class PwmNode(LifecycleNode):
     def _post_set(self, parameters: list[RosParameter]) -> None:
         # Callbacks run one after the other, so this is between two periods.
         changes = self._validate(parameters)
-        self.values.update(changes)
         for name, value in changes.items():
-            self.changes.append({"period": self.period + 1, "name": name, "value": value})
+            change = {"name": name, "value": value, "was": self.values[name]}
+            self.changes.append({"period": self.period + 1, **change})
+        self.values.update(changes)
         if changes and self.core is not None:
             self.core.apply(changes)
             self.parameters_changed(changes)
