@@ -9,6 +9,7 @@ import pytest
 import rclpy
 from mfpcc_msgs.msg import LutDiagnostics, PhaseFeedback
 
+from mfpcc_experiments import record
 from mfpcc_experiments.record import Recorder
 from pwm_node.wire import Wire
 
@@ -39,7 +40,7 @@ def feed(recorder: Recorder, topic: str, periods: list[int]) -> None:
     writers = dict(zip(recorder.last_period, (write for _, write in recorder._inputs), strict=True))
     for period in periods:
         wire.fixed["period"] = period
-        writers[topic](wire.to_bytes())
+        writers[topic](wire.to_bytes(), 0)
 
 
 @pytest.mark.parametrize(
@@ -61,3 +62,9 @@ def test_gaps(recorder: Recorder, periods: list[int], missing: int) -> None:
 def test_gaps_of_a_decimated_topic(recorder: Recorder, periods: list[int], missing: int) -> None:
     feed(recorder, "lut_diagnostics", periods)
     assert recorder.gaps["lut_diagnostics"] == missing
+
+
+def test_a_recorder_is_told_where_to(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        record._arguments([])
+    assert "give --out, --black-box, or both" in capsys.readouterr().err

@@ -67,6 +67,7 @@ def test_two_runs_on_the_graph_agree(tmp_path: Path) -> None:
 
 def test_two_processes_agree_with_one(reference: dict[str, list], tmp_path: Path) -> None:
     _same(recorded(tmp_path, "ros", separate=True), reference)
+    _changes_are_kept(tmp_path / "mls_mfpcc")
 
 
 def test_graph_and_engine_agree_on_decimated_topics(tmp_path: Path) -> None:
@@ -80,17 +81,7 @@ def test_graph_and_engine_agree_on_decimated_topics(tmp_path: Path) -> None:
 
 def test_changes_of_parameters_are_kept_in_the_recording(tmp_path: Path) -> None:
     recorded(tmp_path, "ros")
-    changes = recording.read(tmp_path / "mls_mfpcc").summary["parameter_changes"]
-    told = {(c["period"], c["node"], c["name"], c["value"]) for c in changes}
-    assert told == {
-        (200, "pmsm_sim", "load_torque", 4.0),
-        (200, "mfpcc_controller", "speed_ref_rpm", 700.0),
-        (300, "mfpcc_controller", "scheme", "mfpcc"),
-        (400, "mfpcc_controller", "scheme", "mls_mfpcc"),
-        (400, "mfpcc_controller", "mismatch.inductance", 2.0),
-    }
-    samples = replay.Samples(recording.read(tmp_path / "mls_mfpcc"))
-    replay.require_same(samples, replay.verify(samples))
+    _changes_are_kept(tmp_path / "mls_mfpcc")
 
 
 def test_another_seed_is_another_run(reference: dict[str, list], tmp_path: Path) -> None:
@@ -103,3 +94,18 @@ def _same(one: dict[str, list], other: dict[str, list]) -> None:
         assert len(one[topic]) == len(other[topic]), topic
         for k, (a, b) in enumerate(zip(one[topic], other[topic], strict=True)):
             assert a == b, f"{topic}, message {k}"
+
+
+def _changes_are_kept(bag: Path) -> None:
+    """Each with its period, so that the recording's own scheme gives its commands again."""
+    changes = recording.read(bag).summary["parameter_changes"]
+    told = {(c["period"], c["node"], c["name"], c["value"]) for c in changes}
+    assert told == {
+        (200, "pmsm_sim", "load_torque", 4.0),
+        (200, "mfpcc_controller", "speed_ref_rpm", 700.0),
+        (300, "mfpcc_controller", "scheme", "mfpcc"),
+        (400, "mfpcc_controller", "scheme", "mls_mfpcc"),
+        (400, "mfpcc_controller", "mismatch.inductance", 2.0),
+    }
+    samples = replay.Samples(recording.read(bag))
+    replay.require_same(samples, replay.verify(samples))

@@ -14,6 +14,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch_ros.actions import Node
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
+from mfpcc_experiments.black_box import DIRECTORY, PARAMETER
 from pmsm_sim.parameters import TABLE as PLANT
 
 #: Parameters that are arguments, too. All the others can be set by a parameter file.
@@ -51,6 +52,12 @@ def generate_launch_description() -> LaunchDescription:
                 "record",
                 default_value="",
                 description="Folder of a new recording of everything on the loop; empty: none",
+            ),
+            DeclareLaunchArgument(
+                "black_box",
+                default_value="",
+                description="Folder where the last moments before each fault go. Not given: "
+                f"{DIRECTORY} of a composed drive, none of one in two processes",
             ),
             *(DeclareLaunchArgument(n, default_value="", description=about(n)) for n in PARAMETERS),
             OpaqueFunction(function=drive),
@@ -95,11 +102,17 @@ def drive(context: LaunchContext) -> list[Node]:
             **options,
         )
 
+    composed = given["composed"] == "true"
+    # A composed drive has its black box in itself; otherwise a recorder keeps it.
+    box = {PARAMETER: given["black_box"]} if given["black_box"] and composed else {}
+    arguments = ["--out", given["record"]] if given["record"] else []
+    if given["black_box"] and not composed:
+        arguments += ["--black-box", given["black_box"]]
     nodes = []
-    if given["record"]:
-        nodes.append(node("mfpcc_experiments", "record", arguments=["--out", given["record"]]))
-    if given["composed"] == "true":
-        parameters = [*file, {**plant, **controller}]
+    if arguments:
+        nodes.append(node("mfpcc_experiments", "record", arguments=arguments))
+    if composed:
+        parameters = [*file, {**plant, **controller, **box}]
         nodes.append(node("mfpcc_experiments", "drive", parameters=parameters))
     else:
         nodes.append(node("pmsm_sim", "pmsm_sim", parameters=[*file, plant]))

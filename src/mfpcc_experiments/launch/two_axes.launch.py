@@ -16,7 +16,7 @@ from launch.substitutions import LaunchConfiguration
 AXES = ("axis1", "axis2")
 
 #: Arguments of drive.launch.py that are the same for both, with their defaults.
-SHARED = {"composed": "true", "real_time_factor": ""}
+SHARED = {"composed": "true", "real_time_factor": "", "black_box": ""}
 #: Those that each axis has its own of, as `axis1_scheme`.
 OWN = ("motor", "scheme", "speed_ref_rpm", "load_torque", "parameters", "record")
 

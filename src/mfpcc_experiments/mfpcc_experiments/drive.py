@@ -28,7 +28,9 @@ from rclpy.task import Future
 
 from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import TABLE as CONTROLLER
+from mfpcc_experiments import black_box
 from mfpcc_experiments.bag import BagWriter
+from mfpcc_experiments.black_box import BlackBoxNode
 from mfpcc_experiments.progress import Tell
 from mfpcc_experiments.record import Recorder, sink
 from pmsm_sim.node import PmsmSim
@@ -109,11 +111,18 @@ def record_composed(config: Mapping[str, Any], path: Path, periods: int, progres
 
 
 def main() -> int:
-    """Run plant and controller in one process until stopped."""
-    return spin.main(
-        lambda: PmsmSim(also_known=CONTROLLER),
-        lambda: MfpccController(also_known=PLANT),
-    )
+    """Run plant and controller in one process until stopped, with a black box."""
+    nodes: list[PwmNode] = []
+
+    def plant() -> Node:
+        nodes.append(PmsmSim(also_known=(*CONTROLLER, black_box.PARAMETER)))
+        return nodes[-1]
+
+    def controller() -> Node:
+        nodes.append(MfpccController(also_known=(*PLANT, black_box.PARAMETER)))
+        return nodes[-1]
+
+    return spin.main(plant, controller, lambda: BlackBoxNode(nodes))
 
 
 # --- Two processes ------------------------------------------------------------------------------
@@ -156,6 +165,7 @@ def record_separate(config: Mapping[str, Any], path: Path, periods: int, progres
         done = max(plant.period, 0)
         if done == periods:
             _take_the_rest(recorder, periods, controller_values["diagnostics_decimation"])
+        recorder.take_all(last=True)
         writer.close(
             {
                 "gaps": recorder.gaps,

@@ -3,25 +3,38 @@
 from __future__ import annotations
 
 import argparse
+import bisect
 import struct
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import mfpcc_msgs.msg
 import rclpy
 import rclpy.utilities
-from rcl_interfaces.msg import ParameterEvent
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterEvent, ParameterValue
+from rcl_interfaces.srv import GetParameters
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_profile_parameter_events,
+)
 from rclpy.subscription import Subscription
 
+from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.bag import LOOP_TOPICS, BagError, BagWriter
-from pwm_node import spin
+from mfpcc_experiments.black_box import BlackBox
+from pmsm_sim.parameters import TABLE as PLANT
+from pwm_node import ros_parameters, spin
 
 # Keep all and reliable: a recorder that cannot follow slows the loop down instead of losing.
 _KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
@@ -30,7 +43,19 @@ _KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPo
 # writing it, and nobody waits for a recorder.
 _TAKE_EVERY = 0.005  # s
 
-_DRIVE_NODES = ("pmsm_sim", "mfpcc_controller")
+_ASK_EVERY = 0.05  # s
+
+_TABLES = {"pmsm_sim": PLANT, "mfpcc_controller": CONTROLLER}
+
+# The message by which a node tells that it goes on, and the period that it is working at then over
+# that of the message: the controller answers sample k with the command for k + 1.
+_DRIVE_NODES = {"pmsm_sim": ("phase_feedback", 0), "mfpcc_controller": ("duty_command", -1)}
+
+# So many messages may be taken before an event of the same time is: those of a recorder that has
+# fallen behind as far as the middleware lets it.
+_SENT_KEPT = 20_000
+_CHANGES_KEPT = 10_000
+_ANY_PERIOD = 1 << 63
 
 _STAMP_AND_PERIOD = struct.Struct("<4xiIQ")
 
@@ -46,16 +71,73 @@ def sink(writer: BagWriter, topic: str) -> Callable[[bytes], None]:
     return append
 
 
+class RemoteNode:
+    """What is known here of a node of the drive in another process.
+
+    Attributes
+    ----------
+    values : dict
+        Its parameters; empty until it has told them.
+    changes : deque of dict
+        The latest changes of them: period, name, value, and what it `was` before, where known.
+    missed_periods, lost_periods : int
+        Totals since its start, as it told them last.
+    """
+
+    def __init__(self) -> None:
+        self.values: dict[str, Any] = {}
+        self.changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES_KEPT)
+        self.missed_periods = 0
+        self.lost_periods = 0
+        # Changes of which it is not known yet in which period they came, by their time (ns).
+        self._news: list[tuple[int, str, Any]] = []
+
+    @property
+    def has_news(self) -> bool:
+        """Whether there are changes whose period is not known yet."""
+        return bool(self._news)
+
+    def changed(self, time_ns: int, name: str, value: Any) -> None:
+        """Take note of a changed parameter, told at this time."""
+        self._news.append((time_ns, name, value))
+
+    def date(self, sent: Sequence[tuple[int, int]], *, last: bool = False) -> None:
+        """Find the periods of what has changed.
+
+        A change acts from the first period of which the node tells after the change.
+
+        Parameters
+        ----------
+        sent : sequence of (int, int)
+            When the node sent its latest messages (ns), and of which period each was.
+        last : bool
+            No more will come: what changed after the last message acts in the period after it.
+        """
+        while self._news:
+            time_ns, name, value = self._news[0]
+            row = bisect.bisect_right(sent, (time_ns, _ANY_PERIOD))
+            if row == len(sent) and not last:
+                return
+            period = sent[row][1] if row < len(sent) else sent[-1][1] + 1 if sent else 0
+            change = {"period": period, "name": name, "value": value}
+            if name in self.values:
+                change["was"], self.values[name] = self.values[name], value
+            self.changes.append(change)
+            del self._news[0]
+
+
 class Recorder(Node):
-    """Writes messages of the loop into a bag.
+    """Takes the messages of the loop, into a bag or a black box or both.
 
     A message that is repeated (a node sends its last one again to a peer that came late) is
-    written once.
+    taken once.
 
     Parameters
     ----------
-    writer : BagWriter
+    writer : BagWriter, optional
         Where the messages go; its owner closes it.
+    black_box : Path, optional
+        Directory of a black box.
     topics : iterable of str
         Topics of the loop; all of them unless given.
     **options
@@ -67,55 +149,100 @@ class Recorder(Node):
         Last period seen on each topic, -1 before the first.
     gaps : dict of int
         Messages missing on each topic.
-    parameter_changes : list of dict
-        Changed parameters of the drive's nodes (period, node, name, value); the period is that of
-        the last sample seen before.
+    drive : dict of RemoteNode
+        The drive's nodes, by name.
     """
 
     def __init__(
-        self, writer: BagWriter, *, topics: Iterable[str] = tuple(LOOP_TOPICS), **options: Any
+        self,
+        writer: BagWriter | None = None,
+        *,
+        black_box: Path | None = None,
+        topics: Iterable[str] = tuple(LOOP_TOPICS),
+        **options: Any,
     ) -> None:
         super().__init__("recorder", **options)
         self.last_period = dict.fromkeys(LOOP_TOPICS, -1)
         self.gaps = dict.fromkeys(LOOP_TOPICS, 0)
-        self.parameter_changes: list[dict[str, Any]] = []
+        self.drive = {name: RemoteNode() for name in _DRIVE_NODES}
         self._steps: dict[str, int] = {}
-        self._inputs: list[tuple[Subscription, Callable[[bytes], None]]] = []
+        self._sent: dict[str, deque[tuple[int, int]]] = {
+            topic: deque(maxlen=_SENT_KEPT) for topic, _ in _DRIVE_NODES.values()
+        }
+        self._box: BlackBox | None = None
+        self._black_box = black_box
+        self._first: tuple[int, int] | None = None
+        self._inputs: list[tuple[Subscription, Callable[[bytes, int], None]]] = []
         for topic in topics:
             msg_class = getattr(mfpcc_msgs.msg, LOOP_TOPICS[topic].rsplit("/", 1)[-1])
-            write = self._writing(writer, topic)
-            subscription = self.create_subscription(msg_class, topic, write, _KEEP_ALL, raw=True)
-            self._inputs.append((subscription, write))
-        self.create_subscription(ParameterEvent, "/parameter_events", self._on_event, 100)
+            subscription = self.create_subscription(msg_class, topic, _never, _KEEP_ALL, raw=True)
+            self._inputs.append((subscription, self._taking(topic, writer)))
+        # Taken in bulk as well: the executor does not tell when a message was sent.
+        self._events = self.create_subscription(
+            ParameterEvent, "/parameter_events", _never, qos_profile_parameter_events
+        )
         self.create_timer(_TAKE_EVERY, self.take_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if black_box is not None:
+            self._ask_the_drive()
+
+    @property
+    def parameter_changes(self) -> list[dict[str, Any]]:
+        """Changed parameters of the drive's nodes: period, node, name, value."""
+        return [
+            {"node": name, **change} for name, node in self.drive.items() for change in node.changes
+        ]
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
-        """The subscriptions that an executor shall serve: not those of the loop."""
-        taken = [subscription for subscription, _ in self._inputs]
+        """The subscriptions that an executor shall serve: not those that are taken in bulk."""
+        taken = [self._events, *(subscription for subscription, _ in self._inputs)]
         return (each for each in super().subscriptions if each not in taken)
 
-    def take_all(self) -> None:
-        """Write what has come."""
-        for subscription, write in self._inputs:
+    def take_all(self, *, last: bool = False) -> None:
+        """Take what has come; at the end say that it is the `last` time."""
+        for subscription, keep in self._inputs:
             take, msg_class = subscription.handle.take_message, subscription.msg_type
             while (message := take(msg_class, True)) is not None:
-                write(message[0])
+                keep(message[0], message[1]["source_timestamp"])
+        while (event := self._events.handle.take_message(ParameterEvent, False)) is not None:
+            self._on_event(event[0], event[1]["source_timestamp"])
+        for name, (topic, offset) in _DRIVE_NODES.items():
+            node = self.drive[name]
+            if node.has_news:
+                sent = [(sent_at, period + offset) for sent_at, period in self._sent[topic]]
+                node.date(sent, last=last)
 
-    def _writing(self, writer: BagWriter, topic: str) -> Callable[[bytes], None]:
-        last, steps, write = self.last_period, self._steps, writer.write
+    def _taking(self, topic: str, writer: BagWriter | None) -> Callable[[bytes, int], None]:
+        """What takes the messages of a topic: each with the time at which it was sent (ns)."""
+        last, steps = self.last_period, self._steps
+        sent = self._sent.get(topic, deque(maxlen=0))
         unpack = _STAMP_AND_PERIOD.unpack_from
 
-        def on_message(data: bytes) -> None:
+        def keep(data: bytes, sent_at: int) -> None:
             sec, nanosec, period = unpack(data)
             if period == last[topic]:
                 return
             if last[topic] >= 0 and period != last[topic] + steps.get(topic, 0):
                 self._out_of_step(topic, period - last[topic])
             last[topic] = period
-            write(topic, sec * 1_000_000_000 + nanosec, data)
+            sent.append((sent_at, period))
+            stamp = sec * 1_000_000_000 + nanosec
+            if writer is not None:
+                writer.write(topic, stamp, data)
+            if self._box is not None:
+                self._box.rings[topic].append(data)
+            elif self._black_box is not None and topic == "phase_feedback":
+                self._open_box(self._black_box, stamp, period)
 
-        return on_message
+        return keep
+
+    def _open_box(self, directory: Path, stamp: int, period: int) -> None:
+        """Begin a black box as soon as two stamps tell the length of a period."""
+        if self._first is None:
+            self._first = stamp, period
+        elif period != self._first[1]:
+            T_s = 1e-9 * (stamp - self._first[0]) / (period - self._first[1])
+            self._box = BlackBox(self, directory, self.drive, T_s)
 
     def _out_of_step(self, topic: str, step: int) -> None:
         """Count what is missing; how many periods apart messages are, the first ones tell."""
@@ -129,31 +256,88 @@ class Recorder(Node):
         else:
             self.gaps[topic] += step // known - 1
 
-    def _on_event(self, event: ParameterEvent) -> None:
+    def _on_event(self, event: ParameterEvent, sent_at: int) -> None:
         namespace, _, name = event.node.rpartition("/")
-        if name not in _DRIVE_NODES or namespace != self.get_namespace().rstrip("/"):
+        if name not in self.drive or namespace != self.get_namespace().rstrip("/"):
             return
-        period = self.last_period["phase_feedback"]
+        node = self.drive[name]
+        if node.values:  # a node that was started again
+            node.values |= {
+                parameter.name: _value(name, parameter.name, parameter.value)
+                for parameter in event.new_parameters
+                if parameter.name in _TABLES[name]
+            }
         for parameter in event.changed_parameters:
-            value = parameter_value_to_python(parameter.value)
-            self.parameter_changes.append(
-                {"period": period, "node": name, "name": parameter.name, "value": value}
-            )
+            value = _value(name, parameter.name, parameter.value)
+            node.changed(sent_at, parameter.name, value)
+
+    def _ask_the_drive(self) -> None:
+        """Learn of the nodes what a black box shall hold: parameters and counters."""
+        clients = {
+            name: self.create_client(GetParameters, f"{name}/get_parameters") for name in self.drive
+        }
+
+        def ask() -> None:
+            for name in [name for name, client in clients.items() if client.service_is_ready()]:
+                request = GetParameters.Request(names=list(_TABLES[name]))
+                future = clients.pop(name).call_async(request)
+                future.add_done_callback(partial(self._on_values, name, request.names))
+            if not clients:
+                self.destroy_timer(timer)
+
+        timer = self.create_timer(_ASK_EVERY, ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def _on_values(self, node: str, names: Sequence[str], future: Any) -> None:
+        self.drive[node].values = {
+            name: _value(node, name, value)
+            for name, value in zip(names, future.result().values, strict=False)
+        }
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for part in message.status:
+            for name, node in self.drive.items():
+                if part.name == f"{self.get_namespace()}/{name}: loop".lstrip("/"):
+                    figures = {item.key: item.value for item in part.values}
+                    node.missed_periods = int(figures["missed periods"])
+                    node.lost_periods = int(figures["lost periods"])
 
     def destroy_node(self) -> None:
-        """Write what has come until now, and leave the graph."""
+        """Take what has come until now, and leave the graph."""
         if self.context.ok():
-            self.take_all()
+            self.take_all(last=True)
+        if self._box is not None:
+            self._box.close()
         super().destroy_node()
+
+
+def _never(message: Any) -> None:
+    """Stand for a callback: what comes is taken in bulk."""
+
+
+def _value(node: str, name: str, value: ParameterValue) -> Any:
+    """A parameter's value as the node itself has it."""
+    plain = parameter_value_to_python(value)
+    table = _TABLES[node]
+    return ros_parameters.from_ros(table[name], plain) if name in table else plain
 
 
 def _arguments(argv: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="record", description="Record everything on the loop of a running drive."
     )
-    parser.add_argument("--out", type=Path, required=True, help="folder of the new bag")
+    parser.add_argument("--out", type=Path, help="folder of the new bag")
     parser.add_argument("--force", action="store_true", help="replace a bag that is there")
-    return parser.parse_args(argv)
+    parser.add_argument(
+        "--black-box",
+        type=Path,
+        metavar="DIRECTORY",
+        help="at a fault, write the last moments before it into a bag in this folder",
+    )
+    arguments = parser.parse_args(argv)
+    if arguments.out is None and arguments.black_box is None:
+        parser.error("where to? give --out, --black-box, or both")
+    return arguments
 
 
 def main() -> int:
@@ -164,18 +348,21 @@ def main() -> int:
 
     def make() -> Recorder:
         nonlocal writer, recorder
-        writer = BagWriter(arguments.out, config={"engine": "ros"}, force=arguments.force)
-        recorder = Recorder(writer)
-        recorder.get_logger().info(
-            f"recording into {arguments.out}; what was published before is not in it"
-        )
+        if arguments.out is not None:
+            writer = BagWriter(arguments.out, config={"engine": "ros"}, force=arguments.force)
+        recorder = Recorder(writer, black_box=arguments.black_box)
+        if arguments.out is not None:
+            recorder.get_logger().info(
+                f"recording into {arguments.out}; what was published before is not in it"
+            )
         return recorder
 
     code = spin.main(make)
-    if writer is None or recorder is None:
+    if recorder is None:
         return code
     try:
-        writer.close({"gaps": recorder.gaps, "parameter_changes": recorder.parameter_changes})
+        if writer is not None:
+            writer.close({"gaps": recorder.gaps, "parameter_changes": recorder.parameter_changes})
     except BagError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -49,7 +49,7 @@ def configuration(scenario: Scenario, scheme: str, engine: str, seed: int) -> di
         "scenario": scenario.model_dump(mode="json"),
         "parameters": {"pmsm_sim": plant, "mfpcc_controller": controller},
         "motor_file": machine.model_dump(mode="json"),
-        "versions": _versions(),
+        "versions": versions(),
     }
 
 
@@ -189,12 +189,13 @@ def _with_scheme(scheme: str) -> Wire:
     return wire
 
 
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
+def versions() -> dict[str, str]:
+    """Versions of what can change a result: Python and distributions."""
+    found = {"python": platform.python_version()}
     for name in _DISTRIBUTIONS:
         try:
-            versions[name] = importlib.metadata.version(name)
+            found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             # a plain ROS installation does not know all of them by these names
             continue
-    return versions
+    return found
