@@ -309,8 +309,9 @@ class _Collector:
         periods = {name: column.period() for name, column in self._columns.items()}
         keep = {name: _rising(name, period, problems) for name, period in periods.items()}
         if not self.config or all(p[0] > 0 for p in periods.values() if len(p)):
-            # Who joins a drive that runs, or is another recorder, finds the topics one by one.
-            keep = _common(periods, keep)
+            # Who joins a drive that runs finds the topics one after the other; another recorder,
+            # such as `ros2 bag record`, leaves them so too.
+            keep = _common(periods, keep, foreign=not self.config)
         rows = {name: column.take(keep[name]) for name, column in self._columns.items()}
         feedback, command = rows["phase_feedback"][0], rows["duty_command"][0]
         lut, scheme = rows["lut_diagnostics"]
@@ -548,17 +549,22 @@ def _rising(name: str, period: NDArray[np.int64], problems: list[str]) -> _Rows:
     return keep
 
 
-def _common(periods: Mapping[str, _Periods], keep: Mapping[str, _Rows]) -> dict[str, _Rows]:
-    """Keep of each topic the periods in which all of them were being recorded."""
+def _common(
+    periods: Mapping[str, _Periods], keep: Mapping[str, _Rows], *, foreign: bool
+) -> dict[str, _Rows]:
+    """Keep of each topic the periods from which on, and to which if foreign, all were recorded."""
+    there = {name: period for name, period in periods.items() if len(period)}
     # the command that answers a sample is for the period after it
-    samples = {name: p - (name == "duty_command") for name, p in periods.items() if len(p)}
-    kept = [sample[keep[name]] for name, sample in samples.items()]
-    begin, end = max(int(p[0]) for p in kept), min(int(p[-1]) for p in kept)
+    lead = {name: int(name == "duty_command") for name in there}
+    begin = max(int(p[keep[name]][0]) - lead[name] for name, p in there.items())
+    end = min(int(p[keep[name]][-1]) - lead[name] for name, p in there.items())
     common = dict(keep)
-    for name, sample in samples.items():
-        inside = np.zeros(len(sample), np.bool_)
+    for name, period in there.items():
+        inside = np.zeros(len(period), np.bool_)
         inside[keep[name]] = True
-        inside &= (sample >= begin) & (sample <= end)
+        inside &= period >= begin
+        if foreign:
+            inside &= period <= end + lead[name]
         if inside.any():
             common[name] = inside
     return common
