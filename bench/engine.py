@@ -72,14 +72,15 @@ def measure(*, quick: bool) -> list[Figure]:
     ]
 
 
-def _engine(scheme: str, oversampling: int) -> Engine:
+def engine_of(scheme: str, oversampling: int) -> Engine:
+    """`steady_750_2` in process, with so many points of the waveform per period."""
     scenario = yaml_files.load(yaml_files.find("experiments", "steady_750_2"), Scenario)
     plant, controller = scenario.node_parameters(scheme, 0)
     return Engine({**plant, "oversampling": oversampling}, controller)
 
 
 def _real_time_factor(oversampling: int, seconds: float) -> Callable[[], float]:
-    engine = _engine("mls_mfpcc", oversampling)
+    engine = engine_of("mls_mfpcc", oversampling)
     for _ in engine.run(100):  # kernels compiled or loaded
         pass
 
@@ -93,7 +94,7 @@ def _real_time_factor(oversampling: int, seconds: float) -> Callable[[], float]:
 
 
 def _step_us(scheme: str, seconds: float) -> Callable[[], float]:
-    engine = _engine(scheme, 0)
+    engine = engine_of(scheme, 0)
     samples = np.concatenate([trace.feedback for trace in engine.run(round(seconds * 10_000))])
     return lambda: step_time(Controller(engine.controller.values), samples)["median"]
 
