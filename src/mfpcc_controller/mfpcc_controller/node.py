@@ -87,10 +87,11 @@ class MfpccController(PwmNode):
         self._reference_in = self.create_subscription(
             DriveReference, "reference", self._on_reference, 10
         )
+        # depth 1: who comes later gets the state that is, not those that were
         self._status_out = self.create_publisher(
             DriveStatus,
             "drive_status",
-            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+            QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self._status_in = self.create_subscription(
             DriveStatus,

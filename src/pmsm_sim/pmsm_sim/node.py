@@ -76,10 +76,11 @@ class PmsmSim(PwmNode):
         self._rotor_every = max(round(self.values["pwm_frequency"] / _ROTOR_RATE), 1)
         self._clock_out = self.create_publisher(ClockMessage, "/clock", 10)
         self._rotor_out = self.create_publisher(JointState, "joint_states", 10)
+        # depth 1: who comes later gets the state that is, not those that were
         self._status_out = self.create_publisher(
             DriveStatus,
             "drive_status",
-            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+            QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self._told: tuple[Any, ...] = ()
         self._stops = Stops(self, "a command that has the gates off, and then one that has them on")
