@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rclpy
 from harness import Process, until
 from mfpcc_msgs.msg import DriveStatus, DutyCommand, PhaseFeedback
+from mfpcc_msgs.srv import InjectFault
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
@@ -63,12 +66,15 @@ class Operator:
     def state(self, node: str) -> str:
         return self.status[node].state if node in self.status else ""
 
-    def call(self, node: str, name: str) -> Trigger.Response:
-        client = self.node.create_client(Trigger, f"/{node}/{name}")
-        future = client.call_async(Trigger.Request()) if client.wait_for_service(60.0) else None
+    def ask(self, kind: Any, name: str, request: Any) -> Any:
+        client = self.node.create_client(kind, name)
+        future = client.call_async(request) if client.wait_for_service(60.0) else None
         assert future is not None, f"no service {name}"
         self.until(future.done, f"{name} answers")
         return future.result()
+
+    def call(self, node: str, name: str) -> Trigger.Response:
+        return self.ask(Trigger, f"/{node}/{name}", Trigger.Request())
 
     def set(self, node: str, name: str, value: object) -> None:
         service = SetParametersAtomically
@@ -145,6 +151,25 @@ def test_a_killed_plant_disables_until_there_are_samples_again_and_it_is_cleared
     operator.until(lambda: operator.enabled is True, "power returns")
     for process in (controller, another):
         process.kill()  # or they would wait for the first plant to take the last messages
+
+
+def test_faults_are_injected_by_a_service_where_that_is_allowed(
+    start: Start, operator: Operator
+) -> None:
+    plant = start("pmsm_sim", "pmsm_sim", "--ros-args", "-p", "fault_injection:=true")
+    fault = "{unit: encoder, type: stuck, start: 0.5, duration: 0.1}"
+    command = ["service", "call", "/pmsm_sim/inject_fault", "mfpcc_msgs/srv/InjectFault", fault]
+    with Process([str(shutil.which("ros2")), *command]) as call:
+        assert call.wait() == 0
+    assert "success=True" in call.output
+    assert "injections=['0.5 0.1 encoder stuck 0.5']" in call.output
+    plant.wait_for("fault injected: 0.5 0.1 encoder stuck 0.5")
+
+    wrong = InjectFault.Request(unit="encoder", type="stack", duration=0.1)
+    answer = operator.ask(InjectFault, "/pmsm_sim/inject_fault", wrong)
+    assert not answer.success and "did you mean 'stuck'" in answer.message
+    answer = operator.ask(InjectFault, "/pmsm_sim/inject_fault", InjectFault.Request())
+    assert answer.success and answer.injections == ["0.5 0.1 encoder stuck 0.5"]
 
 
 class Controller(MfpccController):

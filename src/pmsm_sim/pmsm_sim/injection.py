@@ -1,8 +1,9 @@
 """Injected faults: what goes wrong, when, and how much; off unless `fault_injection` is set.
 
-An injection is one line of text, `START DURATION UNIT TYPE [MAGNITUDE]`, times in simulated
-seconds: `0.2 0.05 current_a stuck`. What is random about it follows from the seed and the period,
-so a run with faults is as reproducible as one without, on the graph and in process.
+An injection is one line of text, `START DURATION UNIT TYPE [MAGNITUDE [SEED]]`, times in simulated
+seconds: `0.2 0.05 current_a stuck`. What is random about it follows from the seed (its own, or the
+plant's) and the period, so a run with faults is as reproducible as one without, on the graph and in
+process.
 """
 
 from __future__ import annotations
@@ -75,6 +76,7 @@ INJECTION = np.dtype(
         ("begin", np.uint64),  # first period, and the first after it
         ("end", np.uint64),
         ("magnitude", np.float64),
+        ("seed", np.uint64),  # 0: the plant's
         ("held", np.float64),  # value at the start (stuck), or behind the lag (slow)
         ("holds", np.bool_),
     ],
@@ -83,6 +85,7 @@ INJECTION = np.dtype(
 
 INJECTOR = np.dtype(
     [
+        ("on", np.bool_),  # whether there may be any
         ("n", np.int64),
         ("list", INJECTION, (MAX_INJECTIONS,)),
         ("history", np.float64, (_HISTORY, 5)),  # true samples by period
@@ -98,7 +101,6 @@ INJECTOR = np.dtype(
         ("u_dc", np.float64),  # added DC-link voltage (V)
         ("warmth", np.float64),  # added temperature (K)
         ("jammed", np.bool_),
-        ("noted", np.bool_),  # some injection acts in this period
     ],
     align=True,
 )
@@ -130,7 +132,7 @@ def parse(entries: Iterable[str], T_s: float) -> NDArray[np.void]:
     Parameters
     ----------
     entries : iterable of str
-        Each `START DURATION UNIT TYPE [MAGNITUDE]`.
+        Each `START DURATION UNIT TYPE [MAGNITUDE [SEED]]`.
     T_s : float
         PWM period (s).
 
@@ -146,40 +148,94 @@ def parse(entries: Iterable[str], T_s: float) -> NDArray[np.void]:
 
 def _parse_one(text: str, T_s: float) -> tuple[object, ...]:
     parts = text.split()
-    if len(parts) not in (4, 5):
-        raise InjectionError(
-            f"'{text}': expected START DURATION UNIT TYPE [MAGNITUDE], "
-            "such as '0.2 0.05 current_a stuck'"
-        )
-    unit, kind = parts[2], parts[3]
-    if unit not in UNITS:
-        raise InjectionError(f"'{text}': {unknown('unit', unit, UNITS)}")
-    if kind not in UNITS[unit]:
-        raise InjectionError(f"'{text}': {unknown(f'fault of {unit}', kind, UNITS[unit])}")
-    default = MAGNITUDES[unit]
-    if kind == "delayed":
-        default = _DELAY
-    elif kind == "slow" and unit in _SENSORS:
-        default = _SLOW_TIME
     try:
-        start, duration = float(parts[0]), float(parts[1])
-        magnitude = float(parts[4]) if len(parts) == 5 else default
-    except ValueError:
-        raise InjectionError(f"'{text}': times and magnitude must be numbers") from None
+        if not 4 <= len(parts) <= 6:
+            raise InjectionError(
+                "expected START DURATION UNIT TYPE [MAGNITUDE [SEED]], "
+                "such as '0.2 0.05 current_a stuck'"
+            )
+        try:
+            start, duration, *magnitude = (float(part) for part in (*parts[:2], *parts[4:5]))
+            seed = int(parts[5]) if len(parts) == 6 else 0
+        except ValueError:
+            raise InjectionError(
+                "times and magnitude must be numbers, the seed a whole one"
+            ) from None
+        return injection(parts[2], parts[3], start, duration, *magnitude, seed=seed, T_s=T_s)
+    except InjectionError as error:
+        raise InjectionError(f"'{text}': {error}") from None
+
+
+def injection(
+    unit: str,
+    kind: str,
+    start: float,
+    duration: float,
+    magnitude: float | None = None,
+    *,
+    seed: int = 0,
+    T_s: float,
+    earliest: int = 1,
+) -> tuple[object, ...]:
+    """One row of `INJECTION`.
+
+    Parameters
+    ----------
+    unit, kind : str
+        What fails, and how: see `UNITS`.
+    start, duration : float
+        Simulated time (s).
+    magnitude : float, optional
+        In the unit of what fails; by default that of `MAGNITUDES`.
+    seed : int
+        Of what is random about it; 0: the plant's.
+    T_s : float
+        PWM period (s).
+    earliest : int
+        First period there can be.
+
+    Raises
+    ------
+    InjectionError
+        There is no such fault, or a number is out of its range.
+    """
+    if unit not in UNITS:
+        raise InjectionError(unknown("unit", unit, UNITS))
+    if kind not in UNITS[unit]:
+        raise InjectionError(unknown(f"fault of {unit}", kind, UNITS[unit]))
+    if magnitude is None:
+        magnitude = MAGNITUDES[unit]
+        if kind == "delayed":
+            magnitude = _DELAY
+        elif kind == "slow" and unit in _SENSORS:
+            magnitude = _SLOW_TIME
     if not (0.0 <= start < 1e6 and 0.0 < duration < 1e6 and math.isfinite(magnitude)):
-        raise InjectionError(f"'{text}': start from 0, duration above 0, a finite magnitude (s)")
+        raise InjectionError("start from 0, duration above 0, a finite magnitude (s)")
+    if not 0 <= seed < 2**64:
+        raise InjectionError("a seed from 0, below 2^64")
     if kind == "delayed" and not 1.0 <= magnitude < _HISTORY:
-        raise InjectionError(f"'{text}': a delay of 1 to {_HISTORY - 1} periods")
+        raise InjectionError(f"a delay of 1 to {_HISTORY - 1} periods")
     if kind == "slow" and magnitude <= 0.0:
-        raise InjectionError(f"'{text}': a time constant above 0 s")
-    begin = max(1, round(start / T_s))
+        raise InjectionError("a time constant above 0 s")
+    begin = max(earliest, round(start / T_s))
     end = begin + max(1, round(duration / T_s))
-    return _NAMES.index(unit), TYPES.index(kind), begin, end, magnitude, 0.0, False
+    return _NAMES.index(unit), TYPES.index(kind), begin, end, magnitude, seed, 0.0, False
+
+
+def described(row: np.void, T_s: float) -> str:
+    """An injection as the line of text it could have come from."""
+    begin, end = int(row["begin"]), int(row["end"])
+    text = (
+        f"{begin * T_s:.9g} {(end - begin) * T_s:.9g} {_NAMES[row['unit']]} {TYPES[row['type']]} "
+        f"{float(row['magnitude']):g}"
+    )
+    return f"{text} {row['seed']}" if row["seed"] else text
 
 
 @kernel
-def _random(par, period, unit):
-    return normal(par.seed, period, _CHANNEL + np.uint64(unit))
+def _random(par, it, period):
+    seed = it.seed if it.seed != 0 else par.seed
+    return normal(seed, period, _CHANNEL + np.uint64(it.unit))
 
 
 @kernel
@@ -188,12 +244,12 @@ def _added(par, st, it, low):
     if it.type == _OFF:
         return low
     if it.type == _GARBAGE:
-        return it.magnitude * _random(par, st.period, it.unit)
+        return it.magnitude * _random(par, it, st.period)
     if it.type == _SLOW:
         lapse = (st.period - it.begin) * par.T_s
         return it.magnitude * (1.0 - math.exp(-lapse / _SLOW_TIME))
     if it.type == _INTERMITTENT:
-        return it.magnitude if _random(par, st.period, it.unit) > 0.0 else 0.0
+        return it.magnitude if _random(par, it, st.period) > 0.0 else 0.0
     return it.magnitude
 
 
@@ -208,7 +264,7 @@ def _command_fault(par, it, period):
         return FREEZE
     if it.type == _DUPLICATED:
         return REPEAT
-    if it.type == _INTERMITTENT and _random(par, period, it.unit) > 0.0:
+    if it.type == _INTERMITTENT and _random(par, it, period) > 0.0:
         return 0
     if it.type == _REORDERED and period % np.uint64(2) == 0:
         return 0  # of two that are swapped the later one comes in time
@@ -220,7 +276,7 @@ def inject_causes(par, st):
     """What the injections do to the truth in this period, and to the next command."""
     inj = st.injector
     inj.tau_L, inj.u_dc, inj.warmth = 0.0, 0.0, 0.0
-    inj.jammed, inj.noted = False, False
+    inj.jammed = False
     inj.duty_link = 0
     for n in range(inj.n):
         it = inj.list[n]
@@ -230,7 +286,6 @@ def inject_causes(par, st):
             inj.duty_error = it.magnitude
         if st.period < it.begin or st.period >= it.end:
             continue
-        inj.noted = True
         if it.unit == _DC_LINK:
             inj.u_dc += _added(par, st, it, 1.0 - par.u_dc_set)
         elif it.unit == _LOAD:
@@ -261,13 +316,13 @@ def inject_gates(par, st):
         if not it.holds:
             it.held = st.duty[x]
             it.holds = True
-        if it.type == _OFF or (it.type == _INTERMITTENT and _random(par, st.period, it.unit) > 0.0):
+        if it.type == _OFF or (it.type == _INTERMITTENT and _random(par, it, st.period) > 0.0):
             inj.leg_off[x] = 1
             inj.some_leg_off = True
         elif it.type == _STUCK:
             st.duty[x] = it.held
         elif it.type == _GARBAGE:
-            st.duty[x] = abs(math.sin(10.0 * _random(par, st.period, it.unit)))
+            st.duty[x] = abs(math.sin(10.0 * _random(par, it, st.period)))
         elif it.type == _WRONG:
             st.duty[x] = min(max(st.duty[x] + it.magnitude, 0.0), 1.0)
 
@@ -285,7 +340,7 @@ def _faulty(par, st, it, channel, true):
         return it.held
     if it.type == _GARBAGE:
         # now and then no number at all
-        number = _random(par, st.period, it.unit)
+        number = _random(par, it, st.period)
         return np.nan if number > 1.5 else 10.0 * it.magnitude * number
     if it.type == _WRONG:
         return true + it.magnitude
@@ -294,7 +349,7 @@ def _faulty(par, st, it, channel, true):
         return it.held
     if it.type == _DELAYED:
         return inj.history[(st.period - np.uint64(it.magnitude)) % np.uint64(_HISTORY), channel]
-    return 0.0 if _random(par, st.period, it.unit) > 0.0 else true
+    return 0.0 if _random(par, it, st.period) > 0.0 else true
 
 
 @kernel
@@ -318,7 +373,7 @@ def _inject_feedback_link(par, st, it, fb):
     if it.type == _OFF or it.type == _DROPPED:
         inj.copies = 0
     elif it.type == _INTERMITTENT:
-        inj.copies = 0 if _random(par, k, it.unit) > 0.0 else 1
+        inj.copies = 0 if _random(par, it, k) > 0.0 else 1
     elif it.type == _DUPLICATED:
         inj.copies = 2
     elif it.type == _REORDERED:

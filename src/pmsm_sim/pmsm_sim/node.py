@@ -14,6 +14,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from mfpcc_msgs.msg import DriveFault, DriveState, DriveStatus, DutyCommand, PhaseFeedback
+from mfpcc_msgs.srv import InjectFault
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -21,6 +22,7 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
+from pmsm_sim.injection import InjectionError
 from pmsm_sim.parameters import TABLE
 from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
 from pwm_node import compiled, spin
@@ -30,6 +32,7 @@ from pwm_node.stops import Stops
 from pwm_node.wire import Wire, WireError
 
 _LOOK_EVERY = 0.01  # s
+_AT_ONCE = 1000  # periods without an answer
 _ROTOR_RATE = 100.0  # Hz of simulated time
 _START_CONTROLLER = "ros2 run mfpcc_controller controller"
 
@@ -53,6 +56,7 @@ class PmsmSim(PwmNode):
         super().__init__("pmsm_sim", TABLE, **options)
         self._begin: Timer | None = None
         self._pace: Timer | None = None
+        self._rest: Timer | None = None
         self._overruns = 0
 
     # Life cycle -----------------------------------------------------------------------------
@@ -86,7 +90,8 @@ class PmsmSim(PwmNode):
         self._stops = Stops(self, "a command that has the gates off, and then one that has them on")
         self._faults = self.core.st["faults"]
         self._injector = self.core.st["injector"][0]
-        self._injects = bool(self.values["injections"])
+        self._injects = bool(self.values["fault_injection"])
+        self._inject_in = self.create_service(InjectFault, "~/inject_fault", self._on_inject)
         self._seen_faults = 0
 
     def _compile(self) -> None:
@@ -134,7 +139,9 @@ class PmsmSim(PwmNode):
         """Stop the clock of the paced mode."""
         self._set_pace(None)
         self._drop_begin()
+        self._drop_rest()
         self._stops.destroy()
+        self.destroy_service(self._inject_in)
         for publisher in (self._clock_out, self._rotor_out, self._status_out):
             self.destroy_publisher(publisher)
 
@@ -166,8 +173,24 @@ class PmsmSim(PwmNode):
     def _advance(self) -> None:
         """Run the next period; in lock-step, on to one whose sample can be answered."""
         self._run_period()
-        while self._injects and self._unanswered() and not self.finished.done():
+        if self._injects:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Run on while no sample can be answered, and serve others now and then."""
+        self._drop_rest()
+        for _ in range(_AT_ONCE):
+            if not self._unanswered() or self.finished.done():
+                return
             self._run_period()
+        self._rest = self.create_timer(
+            0.0, self._go_on, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def _drop_rest(self) -> None:
+        if self._rest is not None:
+            self.destroy_timer(self._rest)
+            self._rest = None
 
     def _run_period(self) -> None:
         """Run the next period and publish its sample."""
@@ -254,6 +277,34 @@ class PmsmSim(PwmNode):
         self._advance()
         self.missed_periods = int(self.core.st["missed"][0])
 
+    # Injected faults ------------------------------------------------------------------------
+
+    def _on_inject(
+        self, request: InjectFault.Request, response: InjectFault.Response
+    ) -> InjectFault.Response:
+        """Inject a fault; a request without one asks what is injected."""
+        response.success = True
+        if request == InjectFault.Request():
+            response.message = "nothing is injected by this request"
+        else:
+            try:
+                line = self.core.inject(
+                    request.unit,
+                    request.type,
+                    request.start,
+                    request.duration,
+                    request.magnitude or None,
+                    seed=request.seed,
+                )
+                response.message = f"injected: {line}"
+                self.get_logger().warning(f"fault injected: {line}")
+            except InjectionError as error:
+                response.success = False
+                response.message = f"refused: {error}"
+                self.get_logger().error(f"no fault injected: {error}")
+        response.injections = self.core.injections()
+        return response
+
     # What it tells --------------------------------------------------------------------------
 
     def diagnostics(self) -> Iterable[Part]:
@@ -275,6 +326,13 @@ class PmsmSim(PwmNode):
                 "load torque (N m)": self.values["load_torque"],
             },
         )
+        if self._injects:
+            lines = self.core.injections()
+            yield Part(
+                "injected faults",
+                "; ".join(lines) or "none",
+                Level.WARN if lines else Level.OK,
+            )
 
     def tell_status(self) -> None:
         """Publish `drive_status` if it has changed, and say what faults are new."""

@@ -244,8 +244,8 @@ TABLE = Table(
         Parameter(
             "injections",
             [],
-            "Faults to inject, each 'START DURATION UNIT TYPE [MAGNITUDE]', times in simulated "
-            "seconds",
+            "Faults to inject, each 'START DURATION UNIT TYPE [MAGNITUDE [SEED]]', times in "
+            "simulated seconds; more of them by the service ~/inject_fault",
             read_only=True,
         ),
         Parameter(

@@ -22,12 +22,16 @@ from pmsm_sim.ideal import MOST_STEPS, integrate_ideal
 from pmsm_sim.injection import (
     FREEZE,
     LOSE,
+    MAX_INJECTIONS,
     REPEAT,
     SHIFT,
     SPOIL,
+    InjectionError,
+    described,
     inject_causes,
     inject_gates,
     inject_sample,
+    injection,
     parse,
 )
 from pmsm_sim.inverter import take_command
@@ -171,7 +175,7 @@ def advance(par_, st_, fb_, ds_, i_abc, legs_out):
     legs_out : uint8 array, shape (n,)
     """
     par, st, fb, ds = par_[0], st_[0], fb_[0], ds_[0]
-    faulty = st.injector.n > 0
+    faulty = st.injector.on
     if faulty:
         inject_causes(par, st)
     if par.drifts:
@@ -268,6 +272,7 @@ class Plant:
         st["temperature"] = REFERENCE_TEMPERATURE
         injections = parse(values["injections"], float(par["T_s"][0]))
         injector = st["injector"][0]
+        injector["on"] = values["fault_injection"]
         injector["n"] = len(injections)
         injector["list"][: len(injections)] = injections
         injector["copies"] = 1
@@ -327,6 +332,48 @@ class Plant:
                 detail = text.format(value=float(st["fault_value"][bit]), limit=float(limit[bit]))
                 found.append((code, int(st["fault_at"][bit]), detail))
         return sorted(found, key=lambda fault: fault[1])
+
+    def inject(
+        self,
+        unit: str,
+        kind: str,
+        start: float,
+        duration: float,
+        magnitude: float | None = None,
+        *,
+        seed: int = 0,
+    ) -> str:
+        """Inject a fault from a time on (s), or if that is past, from now on.
+
+        Parameters are those of `injection.injection`; returns it as a line of text.
+
+        Raises
+        ------
+        InjectionError
+            Faults may not be injected here, not this one, or there are too many.
+        """
+        injector, now = self.st["injector"][0], int(self.st["period"][0])
+        if not injector["on"]:
+            raise InjectionError("faults are injected only where 'fault_injection' is true")
+        if unit == "dc_link" and self._values["dc_link.kind"] == "rectifier":
+            raise InjectionError("dc_link fails only where 'dc_link.kind' is stiff")
+        T_s = float(self.par["T_s"][0])
+        row = injection(
+            unit, kind, start, duration, magnitude, seed=seed, T_s=T_s, earliest=max(now, 1)
+        )
+        over = np.flatnonzero(injector["list"]["end"] <= now)
+        if len(over) == 0:
+            raise InjectionError(f"{MAX_INJECTIONS} faults are injected already")
+        n = int(over[0])
+        injector["list"][n] = row
+        injector["n"] = max(int(injector["n"]), n + 1)
+        return described(injector["list"][n], T_s)
+
+    def injections(self) -> list[str]:
+        """Faults that are injected now or will be, each as a line of text."""
+        injector, T_s = self.st["injector"][0], float(self.par["T_s"][0])
+        lasting = injector["list"]["end"] > self.st["period"][0]
+        return [described(row, T_s) for row in injector["list"][lasting]]
 
     def energies(self) -> dict[str, float]:
         """Energy by kind (J): what has flowed since the start, and what is stored now.

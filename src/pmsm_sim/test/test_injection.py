@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmsm_sim.injection import UNITS
+from pmsm_sim.injection import UNITS, InjectionError
 from pmsm_sim.parameters import TABLE
 from pwm_node.parameters import ParameterError
 
@@ -26,6 +26,8 @@ def test_refused_unless_allowed():
         ("0.1 nan encoder off", "above 0"),
         ("-1 0.1 encoder off", "from 0"),
         ("0.1 0.1 encoder delayed 1000", "periods"),
+        ("0.1 0.1 encoder garbage 1.0 1.5", "a whole one"),
+        ("0.1 0.1 encoder garbage 1.0 -1", "from 0"),
     ],
 )
 def test_what_cannot_be_understood_is_explained(text, reason):
@@ -75,3 +77,42 @@ def test_a_true_fault_changes_the_machine(bench, unit, kind):
 def test_the_same_seed_gives_the_same_faults(bench):
     one, two = (_columns(_run(bench, "0.002 0.002 encoder intermittent")) for _ in range(2))
     assert np.array_equal(one, two)
+    own, same = (_columns(_run(bench, "0.002 0.002 encoder intermittent 0 7")) for _ in range(2))
+    assert np.array_equal(own, same) and not np.array_equal(own, one)
+
+
+@pytest.mark.parametrize("kind", UNITS["feedback_link"])
+def test_injected_while_it_runs_it_does_the_same(bench, kind):
+    values = {"fault_injection": True, "initial_speed_rpm": 500.0}
+    given = bench(injections=[f"0.004 0.001 feedback_link {kind}"], **values)
+    given.run(60, (0.52, 0.5, 0.48))
+    late = bench(**values).run(40, (0.52, 0.5, 0.48))
+    late.plant.inject("feedback_link", kind, start=0.001, duration=0.001)
+    assert len(late.plant.injections()) == 1
+    late.run(20, (0.52, 0.5, 0.48))
+    assert np.array_equal(_columns(given), _columns(late), equal_nan=True)
+    assert late.plant.injections() == []
+
+
+def test_what_is_injected_is_told_and_no_more_than_fit(bench):
+    drive = bench(fault_injection=True).run(10)
+    assert drive.plant.inject("encoder", "wrong", 0.0, 0.05) == "0.001 0.05 encoder wrong 0.5"
+    for n in range(7):
+        drive.plant.inject("load", "garbage", 0.1, 0.1, 2.0, seed=n)
+    assert drive.plant.injections()[-1] == "0.1 0.1 load garbage 2 6"
+    with pytest.raises(InjectionError, match="8 faults"):
+        drive.plant.inject("encoder", "wrong", 0.0, 0.05)
+    drive.run(500)
+    drive.plant.inject("encoder", "wrong", 0.0, 0.05)
+    assert len(drive.plant.injections()) == 8
+
+
+def test_refused_while_it_runs(bench):
+    with pytest.raises(InjectionError, match="fault_injection"):
+        bench().plant.inject("encoder", "wrong", 0.0, 0.05)
+    plant = bench(fault_injection=True, dc_link_kind="rectifier").plant
+    with pytest.raises(InjectionError, match="stiff"):
+        plant.inject("dc_link", "off", 0.0, 0.05)
+    with pytest.raises(InjectionError, match="did you mean 'stuck'"):
+        plant.inject("encoder", "stack", 0.0, 0.05)
+    assert plant.injections() == []
