@@ -114,6 +114,19 @@ def test_a_stopped_controller_blocks_the_gates(start: Start, listener: Listener)
     )
 
 
+def test_a_second_node_of_the_same_name_is_refused(start: Start, listener: Listener) -> None:
+    start(*PLANT, *SLOWLY)
+    start(*CONTROLLER)
+    listener.until_beyond(20, "the loop runs")
+    seconds = [start(*PLANT), start(*CONTROLLER), start("mfpcc_experiments", "drive")]
+    for second in seconds:
+        assert second.wait() == 1
+        assert "is running already on this machine (process " in second.output
+        assert "Traceback" not in second.output
+    listener.until_beyond(listener.latest() + 20, "the loop goes on")
+    assert all(enabled for _, enabled in listener.commands)
+
+
 def test_a_run_of_given_length_ends_by_itself(start: Start) -> None:
     start(*CONTROLLER)
     plant = start(*PLANT, "-p", "periods:=300")

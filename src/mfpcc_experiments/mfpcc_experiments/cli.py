@@ -32,6 +32,7 @@ _FOR_PEOPLE = {
     "mfpcc_experiments.replay.ReplayError",
     "mfpcc_experiments.result_folder.ResultFolderError",
     "pmsm_sim.plant.PlantError",
+    "pwm_node.only_one.TakenError",
     "pwm_node.parameters.ParameterError",
     "pwm_node.schedule.ScheduleError",
     "pwm_node.yaml_files.FileError",

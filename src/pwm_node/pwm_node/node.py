@@ -6,6 +6,7 @@ publishes; it counts in `period`, so that the watch can see that the loop goes o
 
 from __future__ import annotations
 
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,7 +21,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
 
-from pwm_node import names, ros_parameters, schedule
+from pwm_node import names, only_one, ros_parameters, schedule
 from pwm_node.diagnostics import Level, Part, StepTimes
 from pwm_node.loop_topics import LoopPublisher, LoopSubscription
 from pwm_node.parameters import Parameter, ParameterError, Table, Value
@@ -101,6 +102,7 @@ class PwmNode(LifecycleNode):
         self, name: str, table: Table, *, also_known: Iterable[str] = (), **options: Any
     ) -> None:
         super().__init__(name, **options)
+        self._claim: int | None = None
         self.table = table if AUTOSTART.name in table else table.extended(AUTOSTART)
         self.active = False
         self.stopping = False
@@ -114,6 +116,9 @@ class PwmNode(LifecycleNode):
         self.loop_publishers: list[LoopPublisher] = []
         self.loop_subscriptions: list[LoopSubscription] = []
         try:
+            self._claim = only_one.claim(
+                self.get_fully_qualified_name(), self.context.get_domain_id()
+            )
             self.values: dict[str, Any] = self._declare(set(also_known))
             self._schedule = self._read_schedule()
         except ValueError:
@@ -312,6 +317,9 @@ class PwmNode(LifecycleNode):
         self.active = False
         self._destroy_loop_topics()
         super().destroy_node()
+        if self._claim is not None:
+            os.close(self._claim)
+            self._claim = None
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure` in the transition of the same name."""
