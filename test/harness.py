@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import signal
 import subprocess
 import threading
@@ -77,6 +78,10 @@ class Process:
     def signal(self, number: signal.Signals) -> None:
         """Send a signal."""
         self._popen.send_signal(number)
+
+    def limit(self, what: int, value: int) -> None:
+        """Set a limit of `resource` while it runs."""
+        resource.prlimit(self._popen.pid, what, (value, value))
 
     def kill(self) -> None:
         """End it at once, as `kill -9` does."""

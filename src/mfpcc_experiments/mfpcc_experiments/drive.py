@@ -163,6 +163,8 @@ def record_separate(config: Mapping[str, Any], path: Path, periods: int, progres
         code = spin.run([plant, recorder], until=watch.over)
         wall = time.monotonic() - begin
         done = max(plant.period, 0)
+        if recorder.error is not None:
+            raise recorder.error
         if done == periods:
             _take_the_rest(recorder, periods, controller_values["diagnostics_decimation"])
         recorder.take_all(last=True)

@@ -29,6 +29,7 @@ from rclpy.qos import (
     qos_profile_parameter_events,
 )
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.bag import LOOP_TOPICS, BagError, BagWriter
@@ -151,6 +152,10 @@ class Recorder(Node):
         Messages missing on each topic.
     drive : dict of RemoteNode
         The drive's nodes, by name.
+    error : BagError or None
+        Why the recording cannot go on; the run of this process ends then.
+    finished : Future
+        Done then.
     """
 
     def __init__(
@@ -165,6 +170,8 @@ class Recorder(Node):
         self.last_period = dict.fromkeys(LOOP_TOPICS, -1)
         self.gaps = dict.fromkeys(LOOP_TOPICS, 0)
         self.drive = {name: RemoteNode() for name in _DRIVE_NODES}
+        self.error: BagError | None = None
+        self.finished = Future()
         self._steps: dict[str, int] = {}
         self._sent: dict[str, deque[tuple[int, int]]] = {
             topic: deque(maxlen=_SENT_KEPT) for topic, _ in _DRIVE_NODES.values()
@@ -200,10 +207,16 @@ class Recorder(Node):
 
     def take_all(self, *, last: bool = False) -> None:
         """Take what has come; at the end say that it is the `last` time."""
-        for subscription, keep in self._inputs:
-            take, msg_class = subscription.handle.take_message, subscription.msg_type
-            while (message := take(msg_class, True)) is not None:
-                keep(message[0], message[1]["source_timestamp"])
+        if self.error is not None:
+            return
+        try:
+            for subscription, keep in self._inputs:
+                take, msg_class = subscription.handle.take_message, subscription.msg_type
+                while (message := take(msg_class, True)) is not None:
+                    keep(message[0], message[1]["source_timestamp"])
+        except BagError as error:
+            self.error = error
+            self.finished.set_result(None)
         while (event := self._events.handle.take_message(ParameterEvent, False)) is not None:
             self._on_event(event[0], event[1]["source_timestamp"])
         for name, (topic, offset) in _DRIVE_NODES.items():
@@ -365,6 +378,9 @@ def main() -> int:
             writer.close({"gaps": recorder.gaps, "parameter_changes": recorder.parameter_changes})
     except BagError as error:
         print(f"error: {error}", file=sys.stderr)
+        return 1
+    if recorder.error is not None:
+        print(f"error: {recorder.error}", file=sys.stderr)
         return 1
     return code or _report(recorder.last_period, recorder.gaps)
 

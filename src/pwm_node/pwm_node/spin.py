@@ -92,7 +92,8 @@ def main(*factories: Callable[[], Node], args: Sequence[str] | None = None) -> i
 def run(nodes: Sequence[Node], *, until: Future | None = None) -> int:
     """Start nodes and serve them until they are stopped.
 
-    SIGINT and SIGTERM stop, also when they come twice. A `PwmNode` is deactivated at the end.
+    SIGINT and SIGTERM stop, also when they come twice, and so does the Future `finished` of a node
+    that has one. A `PwmNode` is deactivated at the end.
 
     Parameters
     ----------
@@ -116,8 +117,9 @@ def _run(nodes: Sequence[Node], until: Future, stop: _Stop) -> int:
     try:
         for node in nodes:
             executor.add_node(node)
-            if isinstance(node, PwmNode):
-                node.finished.add_done_callback(lambda _: _complete(until))
+            finished = getattr(node, "finished", None)
+            if finished is not None:
+                finished.add_done_callback(lambda _: _complete(until))
         if not _start(nodes):
             return 1
         _spin(executor, until, stop)
