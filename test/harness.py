@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import pytest
 
@@ -24,9 +26,11 @@ class Process:
     ----------
     command : sequence of str
         Program and arguments.
+    **options
+        As of `subprocess.Popen`: `cwd`, `env`.
     """
 
-    def __init__(self, command: Sequence[str | Path]) -> None:
+    def __init__(self, command: Sequence[str | Path], **options: Any) -> None:
         self.command = [str(part) for part in command]
         self._popen = subprocess.Popen(
             self.command,
@@ -35,6 +39,7 @@ class Process:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
+            **options,
         )
         self._lines: list[str] = []
         self._news = threading.Condition()
@@ -82,6 +87,10 @@ class Process:
     def limit(self, what: int, value: int) -> None:
         """Set a limit of `resource` while it runs."""
         resource.prlimit(self._popen.pid, what, (value, value))
+
+    def interrupt(self) -> None:
+        """Send SIGINT to it and to all that it started, as Ctrl-C does."""
+        os.killpg(self._popen.pid, signal.SIGINT)
 
     def kill(self) -> None:
         """End it at once, as `kill -9` does."""
