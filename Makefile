@@ -40,6 +40,10 @@ bench:  ## every speed figure, beside its reference, measured now
 	@$(SET_UP) bench
 	$(IN_ENVIRONMENT) python bench $(ARGS)
 
+.PHONY: docs
+docs: build  ## docs/reference.md, written from the code
+	$(IN_ENVIRONMENT) python tools/reference.py
+
 .PHONY: lint
 lint: setup  ## ruff and mypy
 	.venv/bin/ruff check .
