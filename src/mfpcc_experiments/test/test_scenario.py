@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import pytest
@@ -115,14 +114,6 @@ def test_a_section_wins_over_the_common_speed(tmp_path: Path) -> None:
     plant, controller = scenario.load(write(tmp_path, text)).node_parameters("mbpcc", 0)
     assert plant["initial_speed_rpm"] == 0.0
     assert controller["speed_ref_rpm"] == 500.0
-
-
-def test_the_example_in_the_readme_works(tmp_path: Path) -> None:
-    readme = Path(__file__).parents[3] / "README.md"
-    (example,) = re.findall(r"```yaml\n(.*?)```", readme.read_text(), re.DOTALL)
-    plant, controller = scenario.load(write(tmp_path, example)).node_parameters("mls_mfpcc", 0)
-    assert plant["load_torque"] == 1.0
-    assert controller["schedule"] == ["0.1 speed_ref_rpm -600.0", "0.25 scheme mbpcc"]
 
 
 def test_it_is_the_same_after_being_stored_with_a_run(tmp_path: Path) -> None:
