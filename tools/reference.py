@@ -73,6 +73,7 @@ SERVICES = {
     "sto": "Safe torque off: gates off at once.",
     "ss1": "Safe stop 1: ramp down, then gates off; the plant alone cannot ramp.",
     "clear_faults": "Forget latched faults; refused while a cause lasts.",
+    "inject_fault": "Inject a fault, where the plant was started with fault_injection := true.",
 }
 
 # Of what an injected fault acts on.
