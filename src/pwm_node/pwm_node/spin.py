@@ -206,7 +206,15 @@ def _take_directly(subscriptions: Sequence[LoopSubscription]) -> bool:
 
 
 def _serve_what_is_due(executor: Any) -> None:
-    executor.spin_until_future_complete(Future(), timeout_sec=0.0)
+    """Serve all that is queued: the last of it is a task of our own, which says so.
+
+    `spin_until_future_complete` without a future would do the same, but each call of it leaks 32
+    bytes: at 250 a second some 30 MB an hour. And it takes three times as long.
+    """
+    served: list[bool] = []
+    executor.create_task(served.append, True)
+    while not served and executor.context.ok():
+        executor.spin_once(timeout_sec=_IDLE)
 
 
 @contextmanager
