@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import PATIENCE, until
-from mfpcc_msgs.msg import DriveState, LutDiagnostics, PhaseFeedback
+from mfpcc_msgs.msg import DriveState, DriveStatus, LutDiagnostics, PhaseFeedback
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
 
 
 class Outside:
@@ -24,8 +27,12 @@ class Outside:
         Period of the last sample seen, -1 before the first.
     state : DriveState, optional
         The last one seen.
+    gates : list of (int, bool)
+        Period, and whether the gates were on, of the drive states seen.
     scheme : str
         Who controls, by the last `lut_diagnostics` seen.
+    status : dict of DriveStatus
+        The latest of each node.
     """
 
     def __init__(self) -> None:
@@ -34,13 +41,17 @@ class Outside:
         self.node = Node("outside", context=self.context)
         self.period = -1
         self.state: DriveState | None = None
+        self.gates: list[tuple[int, bool]] = []
         self.scheme = ""
+        self.status: dict[str, DriveStatus] = {}
         self._parts: dict[str, dict[str, str]] = {}
         subscribe = self.node.create_subscription
         subscribe(PhaseFeedback, "phase_feedback", self._on_feedback, 1)
-        subscribe(DriveState, "drive_state", self._on_state, 1)
+        subscribe(DriveState, "drive_state", self._on_state, 10)
         subscribe(LutDiagnostics, "lut_diagnostics", self._on_lut, 1)
         subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        subscribe(DriveStatus, "drive_status", self._on_status, latest)
         self._clients: dict[str, AsyncParameterClient] = {}
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
@@ -50,6 +61,18 @@ class Outside:
 
     def _on_state(self, message: DriveState) -> None:
         self.state = message
+        self.gates.append((message.period, message.gates_on))
+
+    def _on_status(self, message: DriveStatus) -> None:
+        self.status[message.node] = message
+
+    def codes(self, node: str) -> list[str]:
+        """Faults that a node has latched."""
+        return [fault.code for fault in self.status[node].faults] if node in self.status else []
+
+    def enabled(self, node: str) -> bool:
+        """Whether a node says that its gates are on."""
+        return node in self.status and self.status[node].enabled
 
     def _on_lut(self, message: LutDiagnostics) -> None:
         self.scheme = message.scheme
@@ -66,14 +89,18 @@ class Outside:
         """A value of the latest `/diagnostics`, NaN before the first."""
         return float(self._parts.get(part, {}).get(key, "nan"))
 
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        """Look until a condition holds."""
+
+        def holds() -> bool:
+            self.look()
+            return condition()
+
+        until(holds, what)
+
     def until_beyond(self, period: int, what: str) -> None:
         """Wait for a sample after a period."""
-
-        def seen() -> bool:
-            self.look()
-            return self.period > period
-
-        until(seen, what)
+        self.until(lambda: self.period > period, what)
 
     def set(self, node: str, **values: Any) -> list[SetParametersResult]:
         """Set parameters of a node (a dot in a name is written as two underscores)."""
@@ -81,6 +108,23 @@ class Outside:
             Parameter(name.replace("__", "."), value=value) for name, value in values.items()
         ]
         return self._answer(self._client(node).set_parameters(parameters)).results
+
+    def call(self, node: str, service: str) -> Trigger.Response:
+        """Call one of a node's services without arguments."""
+        client = self.node.create_client(Trigger, f"/{node}/{service}")
+        answers: list[Trigger.Response] = []
+
+        def answered() -> bool:
+            # a server that was killed is seen for a while, and takes requests to its grave
+            future = client.call_async(Trigger.Request())
+            self.executor.spin_until_future_complete(future, timeout_sec=2.0)
+            if future.done():
+                answers.append(future.result())
+            return bool(answers)
+
+        until(answered, f"/{node}/{service} answers")
+        self.node.destroy_client(client)
+        return answers[0]
 
     def get(self, node: str, name: str) -> Any:
         """Value of a parameter of a node."""

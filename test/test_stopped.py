@@ -1,0 +1,102 @@
+"""Processes that are stopped for a while, or killed, in the middle of a run."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from harness import Process
+from outside import Outside
+
+from mfpcc_experiments import recording
+
+STOP = 3.0  # s
+
+#: 10 periods a second: who is late by ten of them on a busy machine has been stopped indeed.
+PACED = ("-p", "real_time_factor:=0.001")
+
+Start = Callable[..., Process]
+
+
+@pytest.fixture
+def outside(domain: int) -> Iterator[Outside]:
+    it = Outside()
+    yield it
+    it.close()
+
+
+def stop_for_a_while(process: Process) -> None:
+    process.signal(signal.SIGSTOP)
+    time.sleep(STOP)  # the disturbance itself
+    process.signal(signal.SIGCONT)
+
+
+def test_in_lock_step_whoever_is_stopped_is_waited_for_and_nothing_is_lost(
+    start: Start, outside: Outside, tmp_path: Path
+) -> None:
+    bag = tmp_path / "bag"
+    recorder = start("mfpcc_experiments", "record", "--out", str(bag))
+    controller = start("mfpcc_controller", "controller", "--ros-args", "-p", "recorders:=1")
+    plant = start("pmsm_sim", "pmsm_sim", "--ros-args", "-p", "recorders:=1")
+    outside.until_beyond(50, "the loop runs")
+    for process in (controller, plant, recorder):
+        stop_for_a_while(process)
+        outside.until_beyond(outside.period + 100, f"goes on after {process.command[0]}")
+    assert not outside.codes("pmsm_sim") and not outside.codes("mfpcc_controller")
+    for process in (plant, controller, recorder):
+        process.signal(signal.SIGINT)
+        assert process.wait() == 0, process.output
+    found = recording.read(bag)
+    assert found.lost_periods == 0, found.problems
+    assert found.feedback["period"][0] == 0
+
+
+def run_again(outside: Outside) -> None:
+    """Clear both, the reference to zero and up again: the drive must run."""
+    for node in ("mfpcc_controller", "pmsm_sim"):
+        answer = outside.call(node, "clear_faults")
+        assert answer.success, answer.message
+    (answer,) = outside.set("mfpcc_controller", speed_ref_rpm=0.0)
+    assert answer.successful, answer.reason
+    outside.until(lambda: outside.enabled("pmsm_sim"), "the gates are on again")
+    (answer,) = outside.set("mfpcc_controller", speed_ref_rpm=200.0)
+    assert answer.successful, answer.reason
+    period = outside.period
+    outside.until(
+        lambda: outside.enabled("pmsm_sim") and outside.period > period + 5,
+        "the drive runs again",
+    )
+
+
+def test_paced_the_inverter_does_not_wait_for_a_controller(start: Start, outside: Outside) -> None:
+    plant = start("pmsm_sim", "pmsm_sim", "--ros-args", *PACED, "-p", "load_torque:=1.0")
+    speed = ("--ros-args", "-p", "speed_ref_rpm:=200.0")
+    controller = start("mfpcc_controller", "controller", *speed)
+    outside.until_beyond(5, "the loop runs")
+
+    # stopped: the inverter trips, and so does the controller that has missed it all
+    stop_for_a_while(controller)
+    outside.until(lambda: outside.codes("pmsm_sim") == ["COMMAND_LOST"], "the inverter gives it up")
+    outside.until(
+        lambda: "FEEDBACK_LOST" in outside.codes("mfpcc_controller"), "the controller sees a gap"
+    )
+    assert not outside.status["pmsm_sim"].enabled
+    run_again(outside)
+
+    # killed: the same for the inverter; a new one takes over without a restart of the plant
+    outside.gates.clear()
+    del outside.status["mfpcc_controller"]
+    controller.kill()
+    outside.until(lambda: outside.codes("pmsm_sim") == ["COMMAND_LOST"], "the inverter gives it up")
+    tripped = outside.status["pmsm_sim"].faults[0].period
+    outside.until_beyond(tripped + 5, "time goes on")
+    assert all(on == (period < tripped) for period, on in outside.gates if period > tripped - 10)
+    start("mfpcc_controller", "controller", *speed)
+    outside.until(lambda: "mfpcc_controller" in outside.status, "a new controller is there")
+    outside.until_beyond(outside.period + 5, "time goes on")
+    assert outside.codes("pmsm_sim") == ["COMMAND_LOST"] and not outside.enabled("pmsm_sim")
+    run_again(outside)
+    assert "began anew" not in plant.output
