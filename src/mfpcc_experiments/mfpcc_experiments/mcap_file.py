@@ -30,6 +30,8 @@ from mfpcc_experiments.bag import MAGIC, MESSAGE_HEAD, BagError
 #: Largest chunk that is unpacked (bytes): a hundred times what writers make.
 MAX_CHUNK = 256 << 20
 
+_PIECE = 1 << 20  # bytes that are unpacked at a time
+
 _RECORD_HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _unpack_message = MESSAGE_HEAD.unpack_from
@@ -186,15 +188,29 @@ def unpack_chunk(content: bytes, path: Path) -> bytes:
 
 
 def _unpack(name: bytes, packed: memoryview, size: int) -> bytes | None:
-    """Decompress at most `size` bytes, whatever the compressed data say of themselves."""
+    """Decompress at most `size` bytes, whatever the compressed data say of themselves.
+
+    In pieces, so that it takes the memory of what is there, not of what is claimed.
+    """
     if name == b"":
         return bytes(packed)
+    data = bytearray()
     if name == b"lz4":
-        return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size)
-    if name == b"zstd":
+        frame = lz4.frame.LZ4FrameDecompressor()
+        rest: memoryview | bytes = packed
+        while len(data) < size and not frame.eof:
+            piece = frame.decompress(rest, max_length=min(size - len(data), _PIECE))
+            if not (piece or rest):
+                break
+            data += piece
+            rest = b""  # it keeps what it has not used yet
+    elif name == b"zstd":
         with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
-            return reader.read(size)
-    return None
+            while piece := reader.read(min(size - len(data), _PIECE)):
+                data += piece
+    else:
+        return None
+    return bytes(data)
 
 
 def _damaged_chunk(path: Path, reason: str) -> DamagedError:
