@@ -39,7 +39,10 @@ def test_in_lock_step_whoever_is_stopped_is_waited_for_and_nothing_is_lost(
 ) -> None:
     bag = tmp_path / "bag"
     recorder = start("mfpcc_experiments", "record", "--out", str(bag))
-    controller = start("mfpcc_controller", "controller", "--ros-args", "-p", "recorders:=1")
+    patient = ("-p", "fault.feedback_timeout:=0.0")
+    controller = start(
+        "mfpcc_controller", "controller", "--ros-args", "-p", "recorders:=1", *patient
+    )
     plant = start("pmsm_sim", "pmsm_sim", "--ros-args", "-p", "recorders:=1")
     outside.until_beyond(50, "the loop runs")
     for process in (controller, plant, recorder):
