@@ -22,7 +22,7 @@ from rosbags.rosbag2 import Reader
 from std_srvs.srv import Trigger
 
 from mfpcc_controller.node import MfpccController
-from mfpcc_experiments import run
+from mfpcc_experiments import faults, run
 from mfpcc_experiments.scenario import Scenario
 from pwm_node.wire import Wire
 
@@ -151,6 +151,29 @@ def test_a_killed_plant_disables_until_there_are_samples_again_and_it_is_cleared
     operator.until(lambda: operator.enabled is True, "power returns")
     for process in (controller, another):
         process.kill()  # or they would wait for the first plant to take the last messages
+
+
+@pytest.mark.parametrize(
+    ("unit", "kind"),
+    [
+        ("temperature", "slow"),
+        ("dc_sensor", "off"),
+        ("duty_link", "intermittent"),
+        ("feedback_link", "delayed"),
+        ("feedback_link", "duplicated"),
+    ],
+)
+def test_the_graph_survives_a_fault_with_the_same_verdict_as_in_process(
+    domain: int, unit: str, kind: str
+) -> None:
+    """`mfpcc faults --engine ros` shows it for all of them."""
+    matrix = faults.cases(faults.POINTS[1:2])
+    chosen = [case for case in matrix if (case.unit, case.kind) == (unit, kind)]
+    on_graph = faults.judge_all(chosen, engine="ros")
+    in_process = faults.judge_all(chosen)
+    assert [verdict.failures for verdict in on_graph] == [()] * len(chosen)
+    assert [verdict.codes for verdict in on_graph] == [verdict.codes for verdict in in_process]
+    assert [verdict.current for verdict in on_graph] == [v.current for v in in_process]
 
 
 def test_faults_are_injected_by_a_service_where_that_is_allowed(

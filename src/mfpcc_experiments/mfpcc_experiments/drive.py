@@ -12,7 +12,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,13 @@ import yaml
 from ament_index_python.packages import get_package_prefix
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from mfpcc_controller.drive import Controller
 from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments import black_box
@@ -35,6 +38,7 @@ from mfpcc_experiments.progress import Tell
 from mfpcc_experiments.record import Recorder, sink
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.parameters import TABLE as PLANT
+from pmsm_sim.plant import Plant
 from pwm_node import spin
 from pwm_node.node import PwmNode
 
@@ -108,6 +112,75 @@ def record_composed(config: Mapping[str, Any], path: Path, periods: int, progres
             node.destroy_node()
     _judge(done, periods, "after an error (see above)" if code else "")
     progress(periods)
+
+
+@dataclass(frozen=True)
+class ComposedRun:
+    """
+    What is left of a run that was not recorded.
+
+    Attributes
+    ----------
+    plant, controller : Plant, Controller
+        As they were at the end.
+    messages : dict
+        What was published, serialized, by loop topic.
+    """
+
+    plant: Plant
+    controller: Controller
+    messages: dict[str, list[bytes]]
+
+
+@contextlib.contextmanager
+def composed_runs() -> Iterator[Callable[[Mapping[str, Any], Mapping[str, Any]], ComposedRun]]:
+    """
+    Run both nodes in this process over real topics, as often as one likes.
+
+    Nothing is recorded, and the nodes say nothing; a run that stands still is ended.
+
+    Yields
+    ------
+    callable
+        Takes a value for every parameter of the two tables; the plant's `periods` end the run.
+
+    Raises
+    ------
+    DriveError
+        If another drive is on the graph, or a node fails.
+    """
+    with _context() as context:
+        scout = Node("scout", context=context)
+        _refuse_company(scout)
+        scout.destroy_node()
+
+        def once(
+            plant_values: Mapping[str, Any], controller_values: Mapping[str, Any]
+        ) -> ComposedRun:
+            options = {"context": context, "enable_rosout": False}
+            plant = PmsmSim(parameter_overrides=_overrides(plant_values), **options)
+            controller = MfpccController(
+                parameter_overrides=_overrides(controller_values), **options
+            )
+            nodes: list[PwmNode] = [plant, controller]
+            messages: dict[str, list[bytes]] = {}
+            for node in nodes:
+                node.get_logger().set_level(LoggingSeverity.FATAL)
+                node.tap = lambda topic: messages.setdefault(topic, []).append
+            watch = _Watch(plant)
+            plant.create_timer(
+                _PROGRESS_EVERY, watch.look, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
+            code = spin.run(nodes, until=watch.over)
+            result = ComposedRun(plant.core, controller.core, messages)
+            done = max(plant.period, 0)
+            for node in nodes:
+                node.destroy_node()
+            trouble = "after an error of a node" if code else ""
+            _judge(done, done if watch.trouble else plant_values["periods"], trouble)
+            return result
+
+        yield once
 
 
 def main() -> int:
@@ -203,9 +276,9 @@ def _take_the_rest(recorder: Recorder, periods: int, decimation: int) -> None:
 
 
 class _Watch:
-    """Looks whether a run with the controller in a process of its own goes on."""
+    """Looks whether a run goes on, and its controller where that is a process of its own."""
 
-    def __init__(self, plant: PmsmSim, controller: subprocess.Popen[bytes]) -> None:
+    def __init__(self, plant: PmsmSim, controller: subprocess.Popen[bytes] | None = None) -> None:
         self.over = Future()
         self.trouble = ""
         self._plant = plant
@@ -220,7 +293,7 @@ class _Watch:
             self._seen, self._seen_at = self._plant.period, now
         # Before the first sample kernels may have to be compiled.
         patience = _STALLED_AFTER if self._seen >= 0 else _START_WITHIN
-        code = self._controller.poll()
+        code = self._controller.poll() if self._controller is not None else None
         if code is not None:
             self._end(f"mfpcc_controller ended with exit code {code} (see above)")
         elif now - self._seen_at > patience:

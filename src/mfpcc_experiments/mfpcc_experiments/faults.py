@@ -21,18 +21,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from mfpcc_msgs.msg import DriveState, DutyCommand, PhaseFeedback
+from numpy.typing import NDArray
 
+from mfpcc_controller.drive import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.engine import Engine
 from pmsm_sim.injection import UNITS
 from pmsm_sim.parameters import TABLE as PLANT
+from pmsm_sim.plant import Plant
 from pmsm_sim.protection import OVERCURRENT
+from pwm_node.wire import fixed_dtype, fixed_size
 
 #: Current amplitude (A) that only a drive without protection reaches: the trip limit of seed_750,
 #: and what one period adds.
 DAMAGE = 22.0
 
-_START, _DURATION, _END = 0.05, 0.1, 0.25  # s
+_START, _DURATION = 0.05, 0.1  # s
+_PERIODS = 2500
 _WARM = 95.0  # K: 115 degC, at which less current is allowed, but some
 _CONTROLLED = 1.0  # A: so far may the current be off its reference
 _NOISE = 0.0245  # A
@@ -166,79 +172,169 @@ def cases(points: Sequence[Point] = POINTS) -> list[Case]:
 
 
 def judge_all(
-    chosen: Sequence[Case], *, react: bool = True, tell: Callable[[int], None] = lambda n: None
+    chosen: Sequence[Case],
+    *,
+    engine: str = "inprocess",
+    react: bool = True,
+    tell: Callable[[int], None] = lambda n: None,
 ) -> list[Verdict]:
-    """Run cases one after the other; `tell` is called with the number done."""
-    return list(_judged(chosen, react, tell))
+    """
+    Run cases one after the other.
+
+    Parameters
+    ----------
+    chosen : sequence of Case
+        The cases.
+    engine : str
+        `inprocess`, or `ros`: both nodes over real topics.
+    react : bool
+        False: without any protection.
+    tell : callable
+        Called with the number of cases done.
+
+    Raises
+    ------
+    mfpcc_experiments.drive.DriveError
+        If the graph cannot be used (engine `ros`).
+    """
+    if engine == "inprocess":
+        return list(_judged(chosen, _run_in_process, react, tell))
+    # rclpy is needed for this engine only
+    from mfpcc_experiments import drive
+
+    with drive.composed_runs() as run:
+
+        def run_on_graph(plant: dict[str, Any], controller: dict[str, Any]) -> _Run:
+            found = run(plant, controller)
+            return _Run(
+                found.plant,
+                found.controller,
+                state=_fixed(DriveState, found.messages.get("drive_state", [])),
+                feedback=_fixed(PhaseFeedback, found.messages.get("phase_feedback", [])),
+                command=_fixed(DutyCommand, found.messages.get("duty_command", [])),
+            )
+
+        return list(_judged(chosen, run_on_graph, react, tell))
 
 
-def _judged(chosen: Sequence[Case], react: bool, tell: Callable[[int], None]) -> Iterator[Verdict]:
-    unharmed: dict[tuple[Point, str], dict[str, Any]] = {}
+@dataclass(frozen=True)
+class _Run:
+    """What truly happened, and what was latched: plant and controller as they were at the end."""
+
+    plant: Plant
+    controller: Controller
+    state: NDArray[np.void]
+    feedback: NDArray[np.void]
+    command: NDArray[np.void]
+
+    @property
+    def T_s(self) -> float:
+        """PWM period (s)."""
+        return float(self.plant.par["T_s"][0])
+
+    @property
+    def current(self) -> NDArray[np.float64]:
+        """True current amplitude (A)."""
+        return np.hypot(self.state["i_dq"][:, 0], self.state["i_dq"][:, 1])
+
+    @property
+    def limit(self) -> float:
+        """Current (A) that trips the inverter, and what a period at full voltage can add to it."""
+        par = self.plant.par[0]
+        # back-EMF added
+        rise = 1.5 * par["u_dc_set"] / min(par["L_d"], par["L_q"]) * par["T_s"]
+        return float(par["limit"][OVERCURRENT] + rise)
+
+    @property
+    def counted(self) -> tuple[int, int]:
+        """Commands and samples that were refused."""
+        refused, invalid = self.plant.st["refused"], self.controller.mem["guard"]["invalid"]
+        return int(refused[0]), int(invalid[0])
+
+
+_Runner = Callable[[dict[str, Any], dict[str, Any]], _Run]
+
+
+def _run_in_process(plant: dict[str, Any], controller: dict[str, Any]) -> _Run:
+    engine = Engine(plant, controller)
+    traces = list(engine.run(plant["periods"]))
+    return _Run(
+        engine.plant,
+        engine.controller,
+        state=np.concatenate([trace.state for trace in traces]),
+        feedback=np.concatenate([trace.feedback for trace in traces]),
+        command=np.concatenate([trace.command for trace in traces]),
+    )
+
+
+def _fixed(msg_class: Any, messages: Sequence[bytes]) -> NDArray[np.void]:
+    """The fields of fixed size of serialized messages, one row each."""
+    size = fixed_size(msg_class)
+    rows = np.zeros(len(messages), fixed_dtype(msg_class))
+    data = b"".join(message[4 : 4 + size] for message in messages)
+    rows.view(np.uint8).reshape(len(rows), -1)[:, :size] = np.frombuffer(data, np.uint8).reshape(
+        len(rows), size
+    )
+    return rows
+
+
+def _judged(
+    chosen: Sequence[Case], run: _Runner, react: bool, tell: Callable[[int], None]
+) -> Iterator[Verdict]:
+    unharmed: dict[tuple[Point, str], _Run] = {}
     for number, case in enumerate(chosen, start=1):
         # a sensor that is slow or stuck shows the truth where the truth is constant
         supply = "rectifier" if case.unit == "dc_sensor" else "stiff"
         same = case.point, supply
         if same not in unharmed:
-            unharmed[same] = _run(case.point, supply, [], react)
-        yield _judge(case, _run(case.point, supply, [case.injection], react), unharmed[same])
+            unharmed[same] = run(*_values(case.point, supply, [], react))
+        harmed = run(*_values(case.point, supply, [case.injection], react))
+        yield _judge(case, harmed, unharmed[same])
         tell(number)
 
 
-def _run(point: Point, supply: str, injections: list[str], react: bool) -> dict[str, Any]:
-    """Run the closed loop; what truly happened, and what was latched."""
-    plant = PLANT.complete(
-        {
-            "initial_speed_rpm": point.speed_rpm,
-            "load_torque": point.load,
-            "noise.current_rms": _NOISE,
-            "dc_link.kind": supply,
-            "fault_injection": True,
-            "injections": injections,
-            "fault.react": react,
-        }
-    )
-    controller = CONTROLLER.complete(
-        {"scheme": point.scheme, "speed_ref_rpm": point.speed_rpm, "fault.react": react}
-    )
-    engine = Engine(plant, controller)
-    i_max = engine.plant.motor.i_max
-    traces = list(engine.run(round(_END * plant["pwm_frequency"])))  # type: ignore[operator]
-    par = engine.plant.par[0]
-    # what a period at full voltage, back-EMF added, can add to the current at its start
-    rise = 1.5 * par["u_dc_set"] / min(par["L_d"], par["L_q"]) * par["T_s"]
-    return {
-        "state": np.concatenate([trace.state for trace in traces]),
-        "feedback": np.concatenate([trace.feedback for trace in traces]),
-        "duty": np.concatenate([trace.command["duty"] for trace in traces]),
-        "refused": int(engine.plant.st["refused"][0]),
-        "invalid": int(engine.controller.mem["guard"]["invalid"][0]),
-        "inverter": engine.plant.faults(),
-        "controller": engine.controller.faults(),
-        "inverter_tripped": engine.plant.tripped,
-        "controller_tripped": engine.controller.tripped,
-        "limit": float(par["limit"][OVERCURRENT] + rise),
-        "T_s": float(par["T_s"]),
-        "i_max": i_max,
+def _values(
+    point: Point, supply: str, injections: list[str], react: bool
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Parameters of plant and controller."""
+    plant = {
+        "initial_speed_rpm": point.speed_rpm,
+        "load_torque": point.load,
+        "noise.current_rms": _NOISE,
+        "dc_link.kind": supply,
+        "fault_injection": True,
+        "injections": injections,
+        "fault.react": react,
+        "periods": _PERIODS,
     }
+    controller = {
+        "scheme": point.scheme,
+        "speed_ref_rpm": point.speed_rpm,
+        "fault.react": react,
+        "fault.feedback_timeout": 0.0,  # the verdict must not depend on how fast the machine is
+    }
+    return PLANT.complete(plant), CONTROLLER.complete(controller)
 
 
-def _judge(case: Case, run: dict[str, Any], unharmed: dict[str, Any]) -> Verdict:
-    state, T_s = run["state"], run["T_s"]
+def _judge(case: Case, run: _Run, unharmed: _Run) -> Verdict:
+    state, T_s = run.state, run.T_s
     begin = round(_START / T_s)
-    current = float(np.max(np.hypot(state["i_dq"][:, 0], state["i_dq"][:, 1])))
-    found = sorted(run["inverter"] + run["controller"], key=lambda fault: fault[1])
+    current = float(np.max(run.current))
+    found = sorted(run.plant.faults() + run.controller.faults(), key=lambda fault: fault[1])
     codes = tuple(code for code, _, _ in found)
     failures = []
 
+    if len(state) < _PERIODS:
+        failures.append(f"the loop stood still after {len(state)} periods")
     if not _was_there(run, unharmed, begin):
         failures.append("the fault was not there")
-    if not current <= run["limit"]:
-        failures.append(f"{current:.1f} A, limit {run['limit']:.1f} A")
-    if not (np.isfinite(run["duty"]).all() and np.all(abs(run["duty"] - 0.5) <= 0.5)):
+    if not current <= run.limit:
+        failures.append(f"{current:.1f} A, limit {run.limit:.1f} A")
+    if not np.all(abs(run.command["duty"] - 0.5) <= 0.5):  # NaN is not
         failures.append("a command that is not valid left the controller")
 
     off = np.flatnonzero(~state["gates_on"])
-    tripped = run["inverter_tripped"] or run["controller_tripped"]
+    tripped = run.plant.tripped or run.controller.tripped
     if tripped:
         first_off = int(off[0]) if len(off) else len(state)
         stops = [period for code, period, _ in found if code not in _NO_STOP]
@@ -265,17 +361,17 @@ def _judge(case: Case, run: dict[str, Any], unharmed: dict[str, Any]) -> Verdict
     return Verdict(case, codes, after, current, tuple(failures))
 
 
-def _not_derated(run: dict[str, Any], codes: Sequence[str]) -> Iterator[str]:
+def _not_derated(run: _Run, codes: Sequence[str]) -> Iterator[str]:
     """What is wrong where the drive should have gone on with less current."""
     if codes:
         yield f"{codes[0]} where less current is enough"
-    begin, middle = round(_START / run["T_s"]), round((_START + 0.5 * _DURATION) / run["T_s"])
+    begin, middle = round(_START / run.T_s), round((_START + 0.5 * _DURATION) / run.T_s)
     derated = slice(middle, 2 * middle - begin)
-    allowed = run["feedback"]["derating"][derated] * run["i_max"] + _CONTROLLED
-    i_dq = run["state"]["i_dq"][derated]
-    if not np.all(np.hypot(i_dq[:, 0], i_dq[:, 1]) <= allowed):
+    i_max = run.plant.motor.i_max
+    allowed = run.feedback["derating"][derated] * i_max + _CONTROLLED
+    if not np.all(run.current[derated] <= allowed):
         yield "more current than the inverter allows"
-    if not np.min(allowed) < 0.5 * run["i_max"]:
+    if not np.min(allowed) < 0.5 * i_max:
         yield "no less current was allowed"
 
 
@@ -283,10 +379,9 @@ def _not_derated(run: dict[str, Any], codes: Sequence[str]) -> Iterator[str]:
 _NO_STOP = {"PREDICTION", "SCHEME"}
 
 
-def _was_there(run: dict[str, Any], unharmed: dict[str, Any], begin: int) -> bool:
+def _was_there(run: _Run, unharmed: _Run, begin: int) -> bool:
     same = all(
-        run[name][begin - 2 :].tobytes() == unharmed[name][begin - 2 :].tobytes()
+        getattr(run, name)[begin - 2 :].tobytes() == getattr(unharmed, name)[begin - 2 :].tobytes()
         for name in ("state", "feedback")
     )
-    counted = run["refused"] != unharmed["refused"] or run["invalid"] != unharmed["invalid"]
-    return counted or not same
+    return run.counted != unharmed.counted or not same

@@ -190,6 +190,7 @@ def test_a_real_run_in_process(
         ("run nowhere.yaml", ["nowhere.yaml", "no such file"]),
         ("run load_step --scheme mbpc", ["unknown scheme 'mbpc'", "did you mean 'mbpcc'"]),
         ("run load_step --engine roz", ["unknown engine 'roz'", "did you mean 'ros'"]),
+        ("faults --engine roz", ["unknown engine 'roz'", "did you mean 'ros'"]),
         ("run load_step --shceme mbpcc", ["--shceme", "--scheme"]),
         ("run load_step --seed many", ["--seed", "many"]),
         ("run load_step --seed -1", ["--seed", "-1"]),

@@ -177,15 +177,22 @@ class PmsmSim(PwmNode):
             self._go_on()
 
     def _go_on(self) -> None:
-        """Run on while no sample can be answered, and serve others now and then."""
-        self._drop_rest()
+        """Run on while no sample can be answered.
+
+        One that reaches the controller all the same, too late, is left to it before the next; and
+        now and then others are served.
+        """
         for _ in range(_AT_ONCE):
             if not self._unanswered() or self.finished.done():
+                self._drop_rest()
                 return
+            if self._injector["copies"] > 0:
+                break
             self._run_period()
-        self._rest = self.create_timer(
-            0.0, self._go_on, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        if self._rest is None:
+            self._rest = self.create_timer(
+                0.0, self._advance, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
 
     def _drop_rest(self) -> None:
         if self._rest is not None:

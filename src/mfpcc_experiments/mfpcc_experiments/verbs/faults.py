@@ -7,34 +7,50 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mfpcc_experiments.verbs.run import ENGINES
+
 if TYPE_CHECKING:
     from mfpcc_experiments.faults import Verdict
 
 
 @click.command()
 @click.option("--unit", default="", help="Only faults of this unit, such as encoder.")
+@click.option(
+    "--engine",
+    default="inprocess",
+    show_default=True,
+    metavar="|".join(ENGINES),
+    help="The same plant and schemes without ROS, or real nodes on a real graph.",
+)
 @click.option("--brief", is_flag=True, help="Show only the cases that were not survived.")
 @click.option("--no-control", is_flag=True, help="Leave out the negative control.")
-def command(unit: str, brief: bool, no_control: bool) -> int:
+def command(unit: str, engine: str, brief: bool, no_control: bool) -> int:
     """Inject every fault into the running drive, judged by the truth in the plant.
 
     Exit code 1 if a case was not survived, or if the negative control (the same faults with the
     protection switched off) shows no damage.
     """
     from mfpcc_experiments import faults
+    from mfpcc_experiments.progress import progress_bar
     from pmsm_sim.injection import UNITS
     from pwm_node.names import unknown
 
     if unit and unit not in UNITS:
         raise click.UsageError(unknown("unit", unit, UNITS))
+    if engine not in ENGINES:
+        raise click.UsageError(unknown("engine", engine, ENGINES))
     cases = [case for case in faults.cases() if unit in ("", case.unit)]
-    verdicts = faults.judge_all(cases)
+    with progress_bar() as begin:
+        tell = begin("faults", len(cases))
+        verdicts = faults.judge_all(cases, engine=engine, tell=tell)
+        if not no_control:
+            tell = begin("unprotected", len(cases))
+            unprotected = faults.judge_all(cases, engine=engine, react=False, tell=tell)
     _show([verdict for verdict in verdicts if not (brief and verdict.survived)])
     lost = sum(not verdict.survived for verdict in verdicts)
     click.echo(f"{len(verdicts)} cases, {len(verdicts) - lost} survived")
     if no_control:
         return int(lost > 0)
-    unprotected = faults.judge_all(cases, react=False)
     harmed = [verdict.current for verdict in unprotected if not verdict.current <= faults.DAMAGE]
     most = f", up to {max(harmed):.0f} A" if harmed else ""
     click.echo(
