@@ -16,6 +16,7 @@ run again, but has to exist: see `STEPS_ASIDE`.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import re
@@ -33,6 +34,7 @@ import yaml
 from harness import Process, until
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
+from rclpy.node import NodeNameNonExistentError
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments import verbs
@@ -46,7 +48,7 @@ NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 #: Bound on a block, for a slow and busy machine.
 PATIENCE = 300.0  # s
 
-#: Shell functions in place of what takes minutes, or a desktop. The first argument must exist.
+#: Shell functions in place of what takes minutes, or a desktop: they only see that it is there.
 STEPS_ASIDE = r"""
 make() { command make --dry-run "$@" > /dev/null; }
 pytest() { command pytest --collect-only -q "$1" > /dev/null; }
@@ -54,6 +56,12 @@ mfpcc() {
     case $1 in
         faults | reproduce | validate) command mfpcc "$1" --help > /dev/null ;;
         *) command mfpcc "$@" ;;
+    esac
+}
+python() {
+    case "$*" in
+        "-m mfpcc_experiments.method_figures"*) command python -c "import ${2}" ;;
+        *) command python "$@" ;;
     esac
 }
 xdg-open() { [[ $1 == *.html ]]; }
@@ -180,8 +188,15 @@ class Desk:
                 assert found, f"no '{line}' in\n{process.output}"
 
     def sees(self, node: str) -> bool:
-        there = self._node.get_node_names_and_namespaces()
-        return node in {f"{namespace.rstrip('/')}/{name}" for name, namespace in there}
+        """Whether a node is on the graph and has its topics, which it makes when it is ready."""
+        namespace, _, name = node.rpartition("/")
+        with contextlib.suppress(NodeNameNonExistentError):
+            ends = (
+                *self._node.get_publisher_names_and_types_by_node(name, namespace or "/"),
+                *self._node.get_subscriber_names_and_types_by_node(name, namespace or "/"),
+            )
+            return any(kind.startswith("mfpcc_msgs/") for _, kinds in ends for kind in kinds)
+        return False
 
     def tidy_up(self) -> None:
         """End what runs, as Ctrl-C does, the last first."""

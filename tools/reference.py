@@ -72,6 +72,7 @@ MEANINGS = {
 SERVICES = {
     "sto": "Safe torque off: gates off at once.",
     "ss1": "Safe stop 1: ramp down, then gates off; the plant alone cannot ramp.",
+    "inject_fault": "Inject a fault, where the plant was started with `fault_injection:=true`.",
     "clear_faults": "Forget latched faults; refused while a cause lasts.",
     "inject_fault": "Inject a fault, where the plant was started with fault_injection := true.",
 }
@@ -89,6 +90,7 @@ MAGNITUDE_UNITS = {
 
 # Every ROS node has these, so they say nothing about one.
 EVERYWHERE = ("parameter_events", "rosout", "transition_event")
+OF_EVERY_NODE = ("lifecycle_msgs", "rcl_interfaces", "type_description_interfaces")
 
 EXECUTABLES = (
     ("pmsm_sim", "pmsm_sim", "/pmsm_sim", "the simulated inverter and motor"),
@@ -187,12 +189,10 @@ def of_nodes(nodes: Sequence[Node]) -> Iterator[str]:
     for name in sorted({*publishers, *subscribers}, key=list(RATES).index):
         ends = publishers.get(name) or subscribers[name]
         end = next(iter(ends.values()))
-        kind = type_name(end.msg_type)
-        link = f"](#{kind.rpartition('/')[2].lower()})" if kind.startswith("mfpcc_msgs") else ""
         topics.append(
             (
                 f"`{name}`",
-                f"[`{kind}`{link}" if link else f"`{kind}`",
+                linked(end.msg_type),
                 ", ".join(publishers.get(name, ["you"])),
                 ", ".join(subscribers.get(name, ["–"])),
                 RATES[name],
@@ -205,20 +205,27 @@ def of_nodes(nodes: Sequence[Node]) -> Iterator[str]:
     yield "## Services"
     yield ""
     yield (
-        "Of `/pmsm_sim` and `/mfpcc_controller`, besides those of every managed node "
-        "(parameters, life cycle); see [reliability](reliability.md)."
+        "Besides those of every managed node (parameters, life cycle); see "
+        "[reliability](reliability.md)."
     )
     yield ""
-    kinds = {
-        service.srv_name.rpartition("/")[2]: type_name(service.srv_type)
-        for node in nodes[:2]
-        for service in node.services
-        if type_name(service.srv_type).partition("/")[0] not in ("rcl_interfaces", "lifecycle_msgs")
-        and not service.srv_name.endswith("get_type_description")
-    }
+    offered: dict[str, dict[str, Any]] = {}
+    for node in nodes:
+        for service in node.services:
+            if service.srv_type.__module__.split(".")[0] not in OF_EVERY_NODE:
+                name = service.srv_name.rpartition("/")[2]
+                offered.setdefault(name, {})[node.get_name()] = service
     yield from table(
-        ("service", "type", "does"),
-        [(f"`~/{name}`", f"`{kinds[name]}`", SERVICES[name]) for name in sorted(kinds)],
+        ("service", "type", "of", "does"),
+        [
+            (
+                f"`~/{name}`",
+                linked(next(iter(offered[name].values())).srv_type),
+                ", ".join(offered[name]),
+                SERVICES[name],
+            )
+            for name in sorted(offered)
+        ],
     )
 
 
@@ -234,10 +241,11 @@ def by_topic(nodes: Sequence[Node], ends: str) -> dict[str, dict[str, Any]]:
     return found
 
 
-def type_name(kind: Any) -> str:
-    """Name of an interface type, such as `std_msgs/msg/Header`."""
+def linked(kind: Any) -> str:
+    """Name of an interface type, such as `std_msgs/msg/Header`; ours with a link to its fields."""
     package, folder = kind.__module__.split(".")[:2]
-    return f"{package}/{folder}/{kind.__name__}"
+    name = f"`{package}/{folder}/{kind.__name__}`"
+    return f"[{name}](#{kind.__name__.lower()})" if package == "mfpcc_msgs" else name
 
 
 def quality(qos: QoSProfile) -> str:
