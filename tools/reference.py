@@ -74,7 +74,6 @@ SERVICES = {
     "ss1": "Safe stop 1: ramp down, then gates off; the plant alone cannot ramp.",
     "inject_fault": "Inject a fault, where the plant was started with `fault_injection:=true`.",
     "clear_faults": "Forget latched faults; refused while a cause lasts.",
-    "inject_fault": "Inject a fault, where the plant was started with fault_injection := true.",
 }
 
 # Of what an injected fault acts on.
