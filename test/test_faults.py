@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 import rclpy
 from harness import Process, until
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from mfpcc_msgs.msg import DriveStatus, DutyCommand, PhaseFeedback
 from mfpcc_msgs.srv import InjectFault
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -76,6 +78,10 @@ class Operator:
     def call(self, node: str, name: str) -> Trigger.Response:
         return self.ask(Trigger, f"/{node}/{name}", Trigger.Request())
 
+    def change(self, node: str, transition: int) -> None:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert self.ask(ChangeState, f"/{node}/change_state", request).success
+
     def set(self, node: str, name: str, value: object) -> None:
         service = SetParametersAtomically
         client = self.node.create_client(service, f"/{node}/set_parameters_atomically")
@@ -126,6 +132,12 @@ def test_a_fault_is_told_and_power_returns_only_by_request_and_from_zero(
     operator.until(lambda: operator.enabled is True, "power returns")
     operator.until(lambda: operator.status["pmsm_sim"].enabled, "and reaches the gates")
     assert plant.output.count("DC_OVERVOLTAGE in period") == 1
+
+    operator.change("pmsm_sim", Transition.TRANSITION_DEACTIVATE)
+    operator.until(lambda: operator.codes("mfpcc_controller") == ["INVERTER"], "it is noticed")
+    operator.change("pmsm_sim", Transition.TRANSITION_ACTIVATE)
+    operator.until(lambda: operator.call("mfpcc_controller", "clear_faults").success, "cleared")
+    operator.until(lambda: operator.enabled is True, "power returns")
 
 
 def test_a_killed_plant_disables_until_there_are_samples_again_and_it_is_cleared(

@@ -58,7 +58,7 @@ def take_command(par, st):
     st.latched = False
     if par.modulator:
         _modulate(par, st)
-    st.gates_on = st.enable and not (st.tripped or st.awaits_off)
+    st.gates_on = st.enable and not (st.tripped or st.blocked or st.awaits_off)
 
 
 @kernel

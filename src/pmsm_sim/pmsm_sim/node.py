@@ -41,7 +41,7 @@ class PmsmSim(PwmNode):
     """The plant as a node.
 
     While the node is active the inverter follows the commands. While it is inactive time goes on
-    with blocked gates, and the motor coasts.
+    with blocked gates, and the motor coasts; power returns after a command that has the gates off.
 
     Parameters
     ----------
@@ -116,6 +116,7 @@ class PmsmSim(PwmNode):
             self._begin = self.create_timer(
                 _LOOK_EVERY, self._begin_when_heard, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
+        self.core.block(False)
         self.tell_status()
 
     def _begin_when_heard(self) -> None:
@@ -133,6 +134,7 @@ class PmsmSim(PwmNode):
     def deactivate(self) -> None:
         """Block the gates from the next period on."""
         self.active = False
+        self.core.block(True)
         self.tell_status()
 
     def cleanup(self) -> None:
@@ -212,8 +214,6 @@ class PmsmSim(PwmNode):
             return
         if k >= self.next_change:
             self.apply_due(k)
-        if not self.active:
-            self.core.st["enable"] = False
         self._integrate(*self._records)
         self.period = k
         for _ in range(int(self._injector["copies"]) if self._injects else 1):

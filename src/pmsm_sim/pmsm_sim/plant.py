@@ -297,6 +297,11 @@ class Plant:
         _set_temperature(par, self.st["temperature"][0])
         _set_model(par)
 
+    def block(self, blocked: bool) -> None:
+        """Block the gates, or no longer: they come back after a command that has them off."""
+        self.st["blocked"] = blocked
+        self.st["awaits_off"] |= blocked
+
     def stop(self) -> None:
         """Safe torque off: block the gates until they are cleared."""
         self.st["tripped"] = True

@@ -71,7 +71,7 @@ def protect(par, st):
 @kernel
 def allowed_current(st):
     """Share of the current limit that the drive may use: it is told with each sample."""
-    return 0.0 if st.tripped or st.awaits_off else st.derating
+    return 0.0 if st.tripped or st.blocked or st.awaits_off else st.derating
 
 
 def named(faults: int) -> list[str]:

@@ -197,7 +197,8 @@ PLANT_STATE = np.dtype(
         ("missed", np.uint64),  # since the start
         ("refused", np.uint64),  # since the start
         ("tripped", np.bool_),  # gates off until cleared
-        ("awaits_off", np.bool_),  # cleared: gates off until a command has had them off
+        ("blocked", np.bool_),  # gates off because nobody wants them to be driven
+        ("awaits_off", np.bool_),  # and until a command has had them off after that or a trip
         ("derating", np.float64),  # share of the current limit that the temperature allows
         ("present", np.uint32),  # faults whose cause is there in this period, bit by bit
         ("faults", np.uint32),  # those latched

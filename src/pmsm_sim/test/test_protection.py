@@ -73,6 +73,23 @@ def test_gates_that_are_blocked_are_told_as_no_current_allowed(bench):
     assert drive.feedback[-1]["derating"] == 1.0
 
 
+def test_gates_that_nobody_wants_to_be_driven_come_back_after_an_off_command(bench):
+    drive = bench().run(2)
+    drive.plant.block(True)
+    drive.run(2).run(1, enable=False).run(1)
+    assert not drive.column("gates_on")[2:].any()
+    assert [row["derating"] for row in drive.feedback[2:]] == [0.0] * 4
+    drive.plant.block(False)
+    drive.run(1)
+    assert drive.state[-1]["gates_on"], "the command has been off meanwhile"
+    drive.plant.block(True)
+    drive.plant.block(False)
+    drive.run(3)
+    assert not drive.state[-1]["gates_on"]
+    drive.run(1, enable=False).run(1)
+    assert drive.state[-1]["gates_on"] and _codes(drive) == []
+
+
 def test_the_derating_begins_below_the_trip():
     with pytest.raises(ParameterError, match=r"fault\.derating_temperature"):
         TABLE.complete({"fault.derating_temperature": 130.0})
