@@ -25,12 +25,14 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 import rclpy
 import yaml
+from domains import own_domain
 from harness import Process, until
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
@@ -127,13 +129,18 @@ def blocks(page: Path) -> Iterator[Block]:
             mark = ""
 
 
+def commands(page: Path) -> int:
+    """Number of shell blocks of a page."""
+    return sum(block.kind == "sh" for block in blocks(page))
+
+
 # --- Commands -------------------------------------------------------------------------------------
 
 
 class Desk:
     """A folder like the project's, shells in it, and a look at the graph."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, domain: int) -> None:
         self.folder = folder
         for path in ROOT.iterdir():
             if path.name not in ("bags", "build", "out", ".git"):
@@ -144,6 +151,7 @@ class Desk:
         # what a page installs goes here, not into the environment of the project
         self.environment = {
             **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
             "PIP_TARGET": str(site),
             "PIP_DISABLE_PIP_VERSION_CHECK": "1",
             "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]),
@@ -151,7 +159,7 @@ class Desk:
         }
         self.running: list[Process] = []
         self._context = rclpy.Context()
-        rclpy.init(args=[], context=self._context)
+        rclpy.init(args=[], context=self._context, domain_id=domain)
         self._node = rclpy.create_node("reader", context=self._context)
 
     def shell(self, block: Block) -> Process:
@@ -221,26 +229,42 @@ def pattern(line: str) -> str:
     return ".*".join(re.escape(part) for part in line.strip().split("..."))
 
 
-@pytest.fixture
-def desk(domain: int, tmp_path: Path) -> Iterator[Desk]:
-    desk = Desk(tmp_path)
-    yield desk
-    desk.close()
+def type_all(name: str, folder: Path, domain: int) -> None:
+    """Do what a page says, and raise where that is not what comes of it."""
+    with contextlib.closing(Desk(folder, domain)) as desk:
+        for block in blocks(ROOT / name):
+            try:
+                desk.do(block)
+            except AssertionError as error:
+                raise AssertionError(f"{name}, line {block.line}: {error}") from None
+        desk.tidy_up()
 
 
-@pytest.mark.timeout(1200)
+@pytest.fixture(scope="module")
+def outcomes(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[dict[str, Future[None]]]:
+    """What comes of the pages that are asked for: two at a time, since much of it is waiting."""
+    wanted = [
+        item.callspec.params["name"]
+        for item in request.session.items
+        if item.path == request.path and item.originalname == "test_commands_do_what_the_page_says"
+    ]
+    wanted.sort(key=lambda name: -commands(ROOT / name))  # the longest first
+    with contextlib.ExitStack() as stack:
+        desks = [
+            (name, tmp_path_factory.mktemp("page"), stack.enter_context(own_domain()))
+            for name in wanted
+        ]
+        pool = stack.enter_context(ThreadPoolExecutor(2))
+        yield {desk[0]: pool.submit(type_all, *desk) for desk in desks}
+
+
+@pytest.mark.timeout(1800)
 @pytest.mark.skipif(shutil.which("ros2") is None, reason="needs `source setup.bash`")
-@pytest.mark.parametrize("name", NAMES)
-def test_commands_do_what_the_page_says(name: str, desk: Desk) -> None:
-    todo = list(blocks(ROOT / name))
-    if not any(block.kind == "sh" for block in todo):
-        return
-    for block in todo:
-        try:
-            desk.do(block)
-        except AssertionError as error:
-            raise AssertionError(f"{name}, line {block.line}: {error}") from None
-    desk.tidy_up()
+@pytest.mark.parametrize("name", [name for name in NAMES if commands(ROOT / name)])
+def test_commands_do_what_the_page_says(name: str, outcomes: dict[str, Future[None]]) -> None:
+    outcomes[name].result()
 
 
 # --- Links ----------------------------------------------------------------------------------------
