@@ -91,7 +91,12 @@ TABLE = Table(
             minimum=0.0,
             maximum=100.0,
         ),
-        Parameter("control_mode", "speed", "What is regulated", choices=CONTROL_MODES),
+        Parameter(
+            "control_mode",
+            "speed",
+            "What is regulated: the speed, or the current to i_d_ref and i_q_ref",
+            choices=CONTROL_MODES,
+        ),
         Parameter("speed_ref_rpm", 0.0, "Speed reference", unit="r/min", minimum=-1e5, maximum=1e5),
         Parameter(
             "i_d_ref",
@@ -266,7 +271,7 @@ TABLE = Table(
         Parameter(
             "smo.width",
             1.0,
-            "Width of its boundary layer",
+            "Error of the observer of ultra_local_smo up to which it is linear (boundary layer)",
             unit="A",
             minimum=1e-3,
             maximum=1e3,
@@ -333,7 +338,7 @@ TABLE = Table(
         Parameter(
             "fault.prediction_time",
             5e-3,
-            "So long has every prediction to be that wrong",
+            "How long every prediction has to be that wrong",
             unit="s",
             minimum=1e-4,
             maximum=10.0,

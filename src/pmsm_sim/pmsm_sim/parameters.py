@@ -362,7 +362,7 @@ TABLE = Table(
         Parameter(
             "load.speed_rpm",
             0.0,
-            "Imposed speed",
+            "Speed imposed on the rotor where load.kind is speed",
             unit="r/min",
             minimum=-1e5,
             maximum=1e5,
