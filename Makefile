@@ -44,6 +44,13 @@ bench:  ## every speed figure, beside its reference, measured now
 docs: build  ## docs/reference.md, written from the code
 	$(IN_ENVIRONMENT) python tools/reference.py
 
+# Simulated time of the soak (min).
+SOAK_MINUTES ?= 60
+
+.PHONY: soak
+soak: build  ## the drive without rest: lost periods, faults, memory (SOAK_MINUTES=10 is shorter)
+	$(IN_ENVIRONMENT) python bench/soak.py --minutes $(SOAK_MINUTES) $(ARGS)
+
 .PHONY: lint
 lint: setup  ## ruff and mypy
 	.venv/bin/ruff check .

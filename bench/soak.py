@@ -1,0 +1,364 @@
+"""The composed drive for an hour of simulated time, without rest: `make soak`.
+
+References, load, DC-link voltage, noise, scheme and the controller's model change all the time, at
+random from a seed, through the checks that a change from outside goes through. Lost periods, a
+fault, or memory that grows beyond chance make the exit code 1. Ctrl-C ends it early, with the
+report so far.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import drives
+import numpy as np
+from mfpcc_msgs.msg import DriveStatus
+from numpy.typing import NDArray
+from rcl_interfaces.msg import Log
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.task import Future
+from rich.console import Console
+from rich.table import Table
+
+from mfpcc_controller.node import MfpccController
+from mfpcc_controller.parameters import SCHEMES
+from mfpcc_experiments.black_box import BlackBoxNode
+from pmsm_sim.node import PmsmSim
+from pwm_node import spin
+from pwm_node.node import PwmNode
+
+#: Changes of either node come at random, so many a second on average.
+CHANGES_PER_SECOND = 5.0
+
+#: Reversals at the current limit of the motor would add to the ripple of a scheme that applies one
+#: vector per period, and trip the drive rightly.
+CONTROLLER = {"torque_limit": 7.0}
+
+#: Share of the run after which memory counts: until then tables, rings and histories fill.
+WARM_UP = 0.1
+#: The rest is divided into so many blocks, whose means are the points of the regression: memory is
+#: taken in pieces, so neighbouring samples are no independent ones.
+BLOCKS = 20
+#: Growth below this is one piece that the allocator has taken (MB).
+PIECE = 1.0
+
+_SAMPLES = 2000  # of the memory, over the whole run
+_LOOK_EVERY = 0.25  # s
+_PAGE = os.sysconf("SC_PAGE_SIZE")
+
+Change = Callable[[np.random.Generator], Mapping[str, Any]]
+
+
+# --- Changes -------------------------------------------------------------------------------------
+
+
+def plant_change(rng: np.random.Generator) -> Mapping[str, Any]:
+    """Something else for the plant, within what the drive has to stand."""
+    return (
+        {"load_torque": rng.uniform(-4.0, 4.0)},
+        {"dc_voltage": rng.uniform(280.0, 340.0)},
+        {"noise.current_rms": rng.uniform(0.0, 0.05)},
+    )[rng.integers(3)]
+
+
+def controller_change(rng: np.random.Generator) -> Mapping[str, Any]:
+    """A new reference, scheme, or model of the motor."""
+
+    def ratio(most: float) -> float:
+        return math.exp(rng.uniform(-math.log(most), math.log(most)))
+
+    return (
+        {"speed_ref_rpm": rng.uniform(-1000.0, 1000.0)},
+        {"scheme": str(rng.choice(SCHEMES))},
+        {
+            "mismatch.inductance": ratio(2.0),
+            "mismatch.resistance": ratio(4.0),
+            "mismatch.flux": ratio(1.3),
+        },
+    )[rng.integers(3)]
+
+
+class Restless(PwmNode):
+    """A node that changes its own parameters, in periods and to values that follow from a seed."""
+
+    _change: Change
+    _rng: np.random.Generator
+
+    def begin_changes(self, change: Change, seed: int, number: int) -> None:
+        """Begin with period 0; `number` tells nodes of the same seed apart."""
+        self._change, self._rng = change, np.random.default_rng([seed, number])
+        self.next_change = 0
+        # Their history is bounded, and filling it is no growth: full from the start.
+        blank = {"period": 0, "name": "scheme", "value": "", "was": ""}
+        self.changes.extend(dict(blank) for _ in range(self.changes.maxlen or 0))
+
+    def apply_due(self, period: int) -> None:
+        """Change something, and choose when to do so again."""
+        wish = [Parameter(name, value=value) for name, value in self._change(self._rng).items()]
+        answer = self.set_parameters_atomically(wish)
+        if not answer.successful:
+            raise RuntimeError(f"period {period}: {answer.reason}")
+        mean = self.values["pwm_frequency"] / CHANGES_PER_SECOND
+        self.next_change = period + int(self._rng.integers(1, 2 * mean))
+
+
+class Plant(Restless, PmsmSim):
+    """The plant, restless."""
+
+
+class Controller(Restless, MfpccController):
+    """The controller, restless."""
+
+
+# --- Watching ------------------------------------------------------------------------------------
+
+
+class PeriodTimes:
+    """Wall-clock times of all periods, in classes 1 % wide: the memory does not grow with them."""
+
+    def __init__(self) -> None:
+        self.counts = np.zeros(2000, np.int64)  # from 1 us on, to 400 s
+        self.longest = 0.0
+        self._before = time.perf_counter_ns()
+
+    def tick(self) -> None:
+        """A period begins."""
+        now = time.perf_counter_ns()
+        us = (now - self._before) * 1e-3
+        self._before = now
+        if us > self.longest:
+            self.longest = us
+        self.counts[min(int(100.0 * math.log(us)), 1999) if us > 1.0 else 0] += 1
+
+    def percentile(self, share: float) -> float:
+        """Time within which this share of the periods was done (us)."""
+        ordered = np.cumsum(self.counts)
+        return math.exp((int(np.searchsorted(ordered, share * ordered[-1])) + 0.5) / 100.0)
+
+
+@dataclass
+class Soak:
+    """What is seen of the drive while it runs.
+
+    Attributes
+    ----------
+    periods : int
+        To be run.
+    times : PeriodTimes
+    memory : ndarray, shape (samples, 2)
+        Simulated time (h) and resident memory (MB); there from the start, so that it does not grow.
+    samples : int
+        How many there are.
+    faults : dict of str
+        What was latched, by node and code.
+    log_lines, log_bytes : int
+        What came on ``/rosout``.
+    """
+
+    periods: int
+    times: PeriodTimes = field(default_factory=PeriodTimes)
+    memory: NDArray[np.float64] = field(default_factory=lambda: np.ones((_SAMPLES + 1, 2)))
+    samples: int = 0
+    faults: dict[tuple[str, str], str] = field(default_factory=dict)
+    log_lines: int = 0
+    log_bytes: int = 0
+    over: Future = field(default_factory=Future)
+    began: float = field(default_factory=time.monotonic)
+
+    def on_log(self, message: Log) -> None:
+        """Count a line of log."""
+        self.log_lines += 1
+        self.log_bytes += len(message.msg)
+
+    def on_status(self, message: DriveStatus) -> None:
+        """A fault ends the run: nothing here should lead to one."""
+        for fault in message.faults:
+            self.faults[message.node, fault.code] = f"in period {fault.period}: {fault.detail}"
+        if message.faults and not self.over.done():
+            self.over.set_result(None)
+
+    def look(self, plant: PwmNode) -> None:
+        """Sample the memory, and say how far it is."""
+        hours = max(plant.period, 0) / plant.values["pwm_frequency"] / 3600.0
+        if plant.period < self.samples * self.periods / _SAMPLES:
+            return
+        megabytes = resident()
+        self.memory[self.samples] = hours, megabytes
+        self.samples += 1
+        if sys.stderr.isatty():
+            wall = time.monotonic() - self.began
+            print(
+                f"\r{60.0 * hours:.1f} of {self.periods / 6e5:g} min simulated, "
+                f"{3600.0 * hours / wall:.2f} times real time, {megabytes:.0f} MB ",
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
+
+
+def resident() -> float:
+    """Memory of this process that is in use (MB)."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * _PAGE / 1e6
+
+
+# --- The report ----------------------------------------------------------------------------------
+
+
+@dataclass
+class Slope:
+    """Growth of the memory by simulated time, with its standard error (MB/h), and in all (MB)."""
+
+    value: float
+    error: float
+    growth: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether it is more than chance (3 standard errors) and more than a piece."""
+        return self.value > 3.0 * self.error and self.growth > PIECE
+
+    @property
+    def in_all(self) -> str:
+        """Growth over the run, and what that means."""
+        verdict = "it grows" if self.significant else "0 within noise"
+        return f"{self.growth:+.2f} MB: {verdict}"
+
+    def __str__(self) -> str:
+        return f"{self.value:+.2f} +- {self.error:.2f} MB/h"
+
+
+def slope(memory: NDArray[np.float64]) -> Slope | None:
+    """Regression over the means of blocks after the warm-up; None where there are too few."""
+    samples = memory[int(WARM_UP * len(memory)) :]
+    if len(samples) < 2 * BLOCKS:
+        return None
+    t, y = np.array([block.mean(axis=0) for block in np.array_split(samples, BLOCKS)]).T
+    (value, _), covariance = np.polyfit(t, y, 1, cov=True)
+    return Slope(value, math.sqrt(covariance[0, 0]), value * (samples[-1, 0] - samples[0, 0]))
+
+
+def report(soak: Soak, plant: Plant, controller: Controller, wall: float) -> int:
+    """Print what was seen; returns the exit code."""
+    done = max(plant.period, 0)
+    simulated = done / plant.values["pwm_frequency"]
+    lost = controller.lost_periods + int(plant.core.st["missed"][0])
+    memory = soak.memory[: soak.samples]
+    growth = slope(memory)
+    percentile = soak.times.percentile
+    rows = [
+        ("simulated", f"{simulated / 60.0:.1f} of {soak.periods / 6e5:g} min", ""),
+        ("real-time factor", f"{simulated / wall:.2f}", ""),
+        ("periods lost or missed", str(lost), "0"),
+        ("faults", ", ".join(f"{n} {c}" for n, c in soak.faults) or "none", "none"),
+        (
+            "memory at the end, largest",
+            f"{memory[-1, 1]:.1f}, {memory[:, 1].max():.1f} MB",
+            "",
+        ),
+        ("slope of the memory", str(growth or "run too short to tell"), "0 within noise"),
+        ("growth of the memory in all", growth.in_all if growth else "", ""),
+        ("period, 50 %", f"{percentile(0.5):.1f} us", ""),
+        ("period, 99 %", f"{percentile(0.99):.1f} us", ""),
+        ("period, 99.9 %", f"{percentile(0.999):.0f} us", ""),
+        ("period, longest", f"{soak.times.longest / 1e3:.1f} ms", ""),
+        ("log", f"{soak.log_lines} lines, {soak.log_bytes} bytes", ""),
+    ]
+    table = Table()
+    table.add_column("soak")
+    table.add_column("measured", justify="right")
+    table.add_column("asked for")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+    for (node, code), what in soak.faults.items():
+        print(f"{node}: {code} {what}")
+    return 1 if lost or soak.faults or (growth is not None and growth.significant) else 0
+
+
+# --- The run -------------------------------------------------------------------------------------
+
+
+def main() -> int:
+    """Run the drive, and report."""
+    arguments = _arguments()
+    # A graph of its own, unless one is given: a drive that somebody runs here is not to be met.
+    os.environ.setdefault("ROS_DOMAIN_ID", str(2 + os.getpid() % 97))
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    soak = Soak(periods=round(arguments.minutes * 60e4))
+    with drives.graph() as context:
+        wishes = {"periods": soak.periods, "seed": arguments.seed}
+        plant = Plant(context=context, parameter_overrides=_overrides(wishes))
+        controller = Controller(context=context, parameter_overrides=_overrides(CONTROLLER))
+        box = BlackBoxNode(
+            [plant, controller],
+            context=context,
+            parameter_overrides=_overrides({"black_box": str(arguments.out)}),
+        )
+        plant.begin_changes(plant_change, arguments.seed, 0)
+        controller.begin_changes(controller_change, arguments.seed, 1)
+        _time_periods(plant, soak.times)
+        latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        box.create_subscription(DriveStatus, "drive_status", soak.on_status, latest)
+        box.create_subscription(Log, "/rosout", soak.on_log, 1000)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        box.create_timer(_LOOK_EVERY, lambda: soak.look(plant), clock=steady)
+        soak.began = begin = time.monotonic()
+        code = spin.run([plant, controller, box], until=soak.over)
+        wall = time.monotonic() - begin
+        print(file=sys.stderr)
+        result = report(soak, plant, controller, wall)
+        for node in (plant, controller, box):
+            node.destroy_node()
+    return code or result
+
+
+def _time_periods(plant: PmsmSim, times: PeriodTimes) -> None:
+    """Look at the clock with each sample that is published."""
+    keep = plant.tap
+    assert keep is not None
+
+    def tap(topic: str) -> Callable[[bytes], None]:
+        append = keep(topic)
+        if topic != "phase_feedback":
+            return append
+
+        def tick_and_append(data: bytes) -> None:
+            times.tick()
+            append(data)
+
+        return tick_and_append
+
+    plant.tap = tap
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="soak", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60.0, help="simulated time (60)")
+    parser.add_argument("--seed", type=int, default=0, help="of all that is random (0)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out/soak"),
+        help="where a fault, which should not be, leaves its bag (out/soak)",
+    )
+    return parser.parse_args()
+
+
+def _overrides(values: Mapping[str, Any]) -> list[Parameter]:
+    return [Parameter(name, value=value) for name, value in values.items()]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
