@@ -18,6 +18,9 @@ from pwm_node import names
 MAX_BYTES = 1 << 20
 CONFIG_PACKAGE = "mfpcc_config"
 
+_LONGEST_NUMBER = 400  # characters: more than any float has
+_MOST_ERRORS = 10
+
 Model = TypeVar("Model", bound=pydantic.BaseModel)
 
 
@@ -54,6 +57,16 @@ class _Loader(yaml.SafeLoader):
             seen.add(key)
         return super().construct_mapping(node, deep)
 
+    def construct_yaml_int(self, node: Any) -> int:
+        # 1:30 is 90 to YAML 1.1, and a million digits take minutes.
+        if ":" in node.value or len(node.value) > _LONGEST_NUMBER:
+            raise yaml.MarkedYAMLError(
+                problem=f"{names.shown(node.value)} is no number here", problem_mark=node.start_mark
+            )
+        return super().construct_yaml_int(node)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 # YAML 1.1 takes 1e-3 for a text, since it has no decimal point.
 _Loader.add_implicit_resolver(
@@ -87,7 +100,10 @@ def load(path: Path | str, model: type[Model]) -> Model:
     try:
         return model.model_validate(data)
     except pydantic.ValidationError as error:
-        lines = [_explain(item, model) for item in error.errors(include_url=False)]
+        errors = error.errors(include_url=False)
+        lines = [_explain(item, model) for item in errors[:_MOST_ERRORS]]
+        if len(errors) > _MOST_ERRORS:
+            lines.append(f"and {len(errors) - _MOST_ERRORS} more errors")
         raise FileError("\n".join(f"{path}: {line}" for line in lines)) from None
 
 
