@@ -6,6 +6,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pwm_node import yaml_files
 
+_MOST = 1e9  # of any quantity: infinity is none
+
 
 class EstimatedPars(BaseModel):
     """
@@ -35,15 +37,15 @@ class EstimatedPars(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
-    R_s: float = Field(gt=0)
-    L_d: float = Field(gt=0)
-    L_q: float = Field(gt=0)
-    psi_f: float = Field(ge=0)
+    R_s: float = Field(gt=0, le=_MOST)
+    L_d: float = Field(gt=0, le=_MOST)
+    L_q: float = Field(gt=0, le=_MOST)
+    psi_f: float = Field(gt=0, le=_MOST)  # the speed loop needs a torque per ampere
     n_p: int = Field(ge=1, le=100)
-    J: float = Field(gt=0)
-    i_max: float = Field(gt=0)
-    speed_max_rpm: float = Field(gt=0)
-    u_dc: float = Field(gt=0)
+    J: float = Field(gt=0, le=_MOST)
+    i_max: float = Field(gt=0, le=_MOST)
+    speed_max_rpm: float = Field(gt=0, le=_MOST)
+    u_dc: float = Field(gt=0, le=_MOST)
 
 
 def load(name_or_path: str) -> EstimatedPars:

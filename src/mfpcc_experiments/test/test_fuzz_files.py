@@ -7,7 +7,6 @@ bring YAML readers down.
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,12 @@ import pytest
 import yaml
 
 from mfpcc_controller import motor as nominal_motor
+from mfpcc_controller.drive import Controller
+from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments import scenario
 from pmsm_sim import flux_map, motor
+from pmsm_sim.parameters import TABLE as PLANT
+from pmsm_sim.plant import Plant
 from pwm_node import yaml_files
 from pwm_node.parameters import ParameterError
 from pwm_node.yaml_files import FileError
@@ -132,8 +135,10 @@ def test_a_mutated_file_is_read_or_refused(what: str, tmp_path: Path) -> None:
         elif what == "scenario":
             # what was accepted can be run: complete, checked parameters of both nodes, or a reason
             fuzz.outcome(ParameterError, found.node_parameters, "mbpcc", 0)
-        elif what != "flux map":
-            assert all(math.isfinite(v) for v in vars(found).values() if isinstance(v, float))
+        elif what == "motor":
+            Plant(PLANT.complete({"motor": str(path)}))
+        elif what == "nominal motor":
+            Controller(CONTROLLER.complete({"motor": str(path)}))
 
 
 @pytest.mark.parametrize("what", ["scenario", "motor"])

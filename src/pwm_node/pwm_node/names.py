@@ -31,7 +31,8 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
     """
     known = list(known)
     best = nearest(name, known)
-    sentence = f"unknown {kind} '{name if len(name) <= _LONGEST else name[: _LONGEST - 3] + '...'}'"
+    text = name if name.isprintable() else repr(name)[1:-1]
+    sentence = f"unknown {kind} '{text if len(text) <= _LONGEST else text[: _LONGEST - 3] + '...'}'"
     if best is not None:
         sentence += f"; did you mean '{best}'?"
     else:
