@@ -70,7 +70,7 @@ xdg-open() { [[ $1 == *.html ]]; }
 """
 
 #: How an indented block begins that is no formula and no listing.
-COMMANDS = ("make", "mfpcc", "pip", "pytest", "python", "ros2", "sed", "source", "xdg-open")
+COMMANDS = ("export", "make", "mfpcc", "pip", "pytest", "python", "ros2", "source", "xdg-open")
 
 
 @dataclass
