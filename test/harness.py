@@ -58,6 +58,12 @@ class Process:
             self._news.notify_all()
 
     @property
+    def ended(self) -> bool:
+        """Whether nothing more will be printed."""
+        with self._news:
+            return self._ended
+
+    @property
     def output(self) -> str:
         """All it has printed."""
         with self._news:

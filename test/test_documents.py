@@ -175,25 +175,28 @@ class Desk:
         elif block.kind == "section":
             self.tidy_up()
         elif block.mark.startswith("background"):
-            self.running.append(self.shell(block))
+            process = self.shell(block)
+            self.running.append(process)
             for node in block.mark.split()[1:]:
-                until(lambda node=node: self.sees(node), f"{node} is on the graph", PATIENCE)
-            process = self.running[-1]
-            for line in map(pattern, block.shows):
                 until(
-                    lambda line=line: re.search(line, process.output, re.MULTILINE) is not None,
-                    f"'{line}' in the output",
+                    lambda node=node: self.sees(node) or process.ended, f"{node} is there", PATIENCE
+                )
+            for line in block.shows:
+                until(
+                    lambda line=line: shown(line, process) or process.ended,
+                    f"it prints '{line}'",
                     PATIENCE,
                 )
+            assert not process.ended, f"it ended: {block.text}\n{process.output}"
         elif not block.mark.startswith("not run"):
+            assert block.mark in ("", "fails"), f"unknown mark '{block.mark}'"
             with self.shell(block) as process:
                 code = process.wait(PATIENCE)
             fails = block.mark == "fails"
             assert (code != 0) == fails, f"exit code {code} of\n{block.text}\n{process.output}"
             assert "Traceback" not in process.output, process.output
             for line in block.shows:
-                found = re.search(pattern(line), process.output, re.MULTILINE)
-                assert found, f"no '{line}' in\n{process.output}"
+                assert shown(line, process), f"no '{line}' in\n{process.output}"
 
     def sees(self, node: str) -> bool:
         """Whether a node is on the graph and has its topics, which it makes when it is ready."""
@@ -224,9 +227,10 @@ class Desk:
         rclpy.try_shutdown(context=self._context)
 
 
-def pattern(line: str) -> str:
-    """A line of a page as a regular expression."""
-    return ".*".join(re.escape(part) for part in line.strip().split("..."))
+def shown(line: str, process: Process) -> bool:
+    """Whether a program has printed what a page shows."""
+    pattern = ".*".join(re.escape(part) for part in line.strip().split("..."))
+    return re.search(pattern, process.output, re.MULTILINE) is not None
 
 
 def type_all(name: str, folder: Path, domain: int) -> None:
