@@ -66,6 +66,13 @@ python() {
         *) command python "$@" ;;
     esac
 }
+ros2() {  # a busy machine takes longer to find who is there
+    case "$1 $2" in
+        "param "*) command ros2 "$@" --timeout 60 ;;
+        "topic echo") command ros2 "$@" --spin-time 60 ;;
+        *) command ros2 "$@" ;;
+    esac
+}
 xdg-open() { [[ $1 == *.html ]]; }
 """
 

@@ -44,17 +44,17 @@ CONTROLLER = {
 pytestmark = pytest.mark.skipif(ROS2 is None, reason="needs `source setup.bash`")
 
 
-def ros2(*arguments: str) -> str:
-    """What a `ros2` command prints."""
-    done = subprocess.run(
-        [str(ROS2), *arguments], capture_output=True, text=True, timeout=PATIENCE, check=True
-    )
+def ros2_param(verb: str, *arguments: str) -> str:
+    """What `ros2 param` prints; it waits for the node."""
+    command = [str(ROS2), "param", verb, "--timeout", str(int(PATIENCE)), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=2 * PATIENCE)
+    assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 def dumped(node: str, folder: Path) -> Path:
     file = folder / f"{node}.yaml"
-    file.write_text(ros2("param", "dump", f"/{node}"))
+    file.write_text(ros2_param("dump", f"/{node}"))
     return file
 
 
@@ -112,6 +112,6 @@ def test_a_dump_brings_a_running_drive_back(start: Start, tmp_path: Path) -> Non
     ):
         file = dumped(node, tmp_path)
         before = file.read_text()
-        ros2("param", "set", f"/{node}", name, value)
-        ros2("param", "load", f"/{node}", str(file))
+        ros2_param("set", f"/{node}", name, value)
+        ros2_param("load", f"/{node}", str(file))
         assert dumped(node, tmp_path).read_text() == before
