@@ -12,21 +12,12 @@ import pytest
 
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_experiments.closed_loop import Run, run
+from mfpcc_experiments.method_figures import ENCODER, MISMATCH, random_drive, wrong_model
 from pwm_node import yaml_files
 
-ENCODER = {"sensor.encoder_lines": 2500}
 ENCODERS = pytest.mark.parametrize("plant", [{}, ENCODER], ids=["ideal", "2500_lines"])
 POINTS = [(750.0, 2.0), (750.0, 5.0), (300.0, 2.0), (1000.0, 2.0)]
 LOAD_STEP = ["0.2 load_torque 5.0"]
-MISMATCH = {"a": (0.5, 0.1, 2.0), "b": (2.0, 10.0, 0.7), "c": (2.0, 1.0, 2.0)}
-
-
-def mismatched(inductance: float, resistance: float, flux: float) -> dict[str, float]:
-    return {
-        "mismatch.inductance": inductance,
-        "mismatch.resistance": resistance,
-        "mismatch.flux": flux,
-    }
 
 
 def steady_thd(scheme: str, seeds: int = 1, **options) -> float:
@@ -80,7 +71,7 @@ def test_table_stays_true_through_a_speed_step(plant):
 
 @pytest.mark.parametrize("case", MISMATCH)
 def test_mls_does_not_mind_a_wrong_model(case):
-    wrong = mismatched(*MISMATCH[case])
+    wrong = wrong_model(*MISMATCH[case])
     r = run("mls_mfpcc", 0.5, plant=ENCODER, controller=wrong, schedule=LOAD_STEP)
     assert np.abs(r.error(0.35).mean(axis=0)).max() < 0.01
     assert r.ripple(0.35).max() < 0.25
@@ -168,7 +159,7 @@ def test_saturation_is_learned():
 @pytest.mark.parametrize("gain", [0.1, 0.3, 3.0, 10.0, 30.0])
 def test_learns_from_a_table_that_is_wrong_by_far(motor, gain):
     """The first table holds `gain` times the true forced entries, and nothing natural."""
-    wrong = mismatched(1.0 / gain, 1.0, 1.0)
+    wrong = wrong_model(1.0 / gain, 1.0, 1.0)
     r = run("mls_mfpcc", 0.8, motor=motor, plant=ENCODER, controller=wrong)
     assert r.controller.faults() == []
     # on the salient machine, 30 times the truth takes half a second to forget
@@ -200,28 +191,11 @@ def test_finds_both_inductances_of_a_salient_machine():
     assert table["m_q"].imag == pytest.approx(T_s / est.L_q, rel=0.15)
 
 
-def draw(seed: int) -> dict[str, object]:
-    """Random drive: options of `run` for one seed."""
-    random = np.random.default_rng(seed)
-    wrong = (random.uniform(0.2, 5.0), random.uniform(0.0, 10.0), random.uniform(0.0, 3.0))
-    rpm = random.uniform(-1200.0, 1200.0)
-    # the load brakes, in either direction
-    before, after = np.copysign(random.uniform(0.0, 5.0, 2), rpm)
-    return {
-        "rpm": float(rpm),
-        "load": float(before),
-        "seed": seed,
-        "plant": ENCODER,
-        "controller": mismatched(*map(float, wrong)),
-        "schedule": [f"0.1 load_torque {float(after)}"],
-    }
-
-
 def test_survives_a_thousand_wrong_models():
     """Model over actual: L 0.2 to 5, R 0 to 10, psi_f 0 to 3; any speed, any load, a load step."""
     failed = []
     for seed in range(1000):
-        r = run("mls_mfpcc", 0.25, **draw(seed))
+        r = run("mls_mfpcc", 0.25, **random_drive(seed))
         settled = (
             r.controller.faults() == []
             and r.largest_current() < r.controller.motor.i_max
@@ -424,7 +398,7 @@ def test_switching_makes_no_bump(scheme, own_ripple):
 
 
 def test_mismatch_can_come_while_running():
-    changes = [f"0.2 {name} {value}" for name, value in mismatched(*MISMATCH["b"]).items()]
+    changes = [f"0.2 {name} {value}" for name, value in wrong_model(*MISMATCH["b"]).items()]
     mls = run("mls_mfpcc", 0.4, plant=ENCODER, schedule=changes)
     mbpcc = run("mbpcc", 0.4, plant=ENCODER, schedule=changes)
     assert np.abs(mls.error(0.3).mean(axis=0)).max() < 0.01
