@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from mfpcc_msgs.msg import (
-    DriveFault,
     DriveReference,
     DriveStatus,
     DutyCommand,
@@ -30,6 +29,7 @@ from mfpcc_controller.parameters import TABLE
 from pwm_node import compiled, spin
 from pwm_node.diagnostics import Level, Part
 from pwm_node.node import PwmNode
+from pwm_node.status import StatusPublisher
 from pwm_node.stops import Stops
 from pwm_node.wire import Wire, WireError
 
@@ -87,19 +87,13 @@ class MfpccController(PwmNode):
         self._reference_in = self.create_subscription(
             DriveReference, "reference", self._on_reference, 10
         )
-        # depth 1: who comes later gets the state that is, not those that were
-        self._status_out = self.create_publisher(
-            DriveStatus,
-            "drive_status",
-            QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-        )
+        self._status = StatusPublisher(self)
         self._status_in = self.create_subscription(
             DriveStatus,
             "drive_status",
             self._on_status,
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
-        self._told: tuple[Any, ...] = ()
         self._stops = Stops(self, "the reference has been at zero")
         self._watchdog = self.create_timer(
             _WATCH_EVERY,
@@ -150,7 +144,7 @@ class MfpccController(PwmNode):
         self._stops.destroy()
         self.destroy_subscription(self._status_in)
         self.destroy_subscription(self._reference_in)
-        self.destroy_publisher(self._status_out)
+        self._status.destroy()
 
     # The period -----------------------------------------------------------------------------
 
@@ -343,27 +337,16 @@ class MfpccController(PwmNode):
             state = "tripped"
         elif self.active:
             state = "stopping" if core.slowing else "running"
-        enabled = self.active and bool(core.released)
-        faults = core.faults()
-        if (state, enabled, core.scheme, faults) == self._told:
-            return
-        self._told = (state, enabled, core.scheme, faults)
-        self._stops.log()
-        status = DriveStatus(
-            period=max(self.period, 0),
-            node=self.get_name(),
+        told = self._status.tell(
             state=state,
-            enabled=enabled,
+            enabled=self.active and bool(core.released),
+            faults=core.faults(),
+            period=self.period,
+            period_ns=int(core.cfg["period_ns"][0]),
             scheme=core.scheme,
         )
-        stamp = self._feedback.fixed["stamp"][0]
-        status.stamp.sec, status.stamp.nanosec = int(stamp["sec"]), int(stamp["nanosec"])
-        period_ns = int(core.cfg["period_ns"][0])
-        for code, period, detail in faults:
-            fault = DriveFault(code=code, detail=detail, period=period)
-            fault.stamp.sec, fault.stamp.nanosec = divmod(period * period_ns, 1_000_000_000)
-            status.faults.append(fault)
-        self._status_out.publish(status)
+        if told:
+            self._stops.log()
 
 
 def main() -> int:

@@ -13,11 +13,10 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from mfpcc_msgs.msg import DriveFault, DriveState, DriveStatus, DutyCommand, PhaseFeedback
+from mfpcc_msgs.msg import DriveState, DutyCommand, PhaseFeedback
 from mfpcc_msgs.srv import InjectFault
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
@@ -28,6 +27,7 @@ from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
 from pwm_node import compiled, spin
 from pwm_node.diagnostics import Level, Part
 from pwm_node.node import PwmNode
+from pwm_node.status import StatusPublisher
 from pwm_node.stops import Stops
 from pwm_node.wire import Wire, WireError
 
@@ -80,13 +80,7 @@ class PmsmSim(PwmNode):
         self._rotor_every = max(round(self.values["pwm_frequency"] / _ROTOR_RATE), 1)
         self._clock_out = self.create_publisher(ClockMessage, "/clock", 10)
         self._rotor_out = self.create_publisher(JointState, "joint_states", 10)
-        # depth 1: who comes later gets the state that is, not those that were
-        self._status_out = self.create_publisher(
-            DriveStatus,
-            "drive_status",
-            QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
-        )
-        self._told: tuple[Any, ...] = ()
+        self._status = StatusPublisher(self)
         self._stops = Stops(self, "a command that has the gates off, and then one that has them on")
         self._faults = self.core.st["faults"]
         self._injector = self.core.st["injector"][0]
@@ -144,7 +138,8 @@ class PmsmSim(PwmNode):
         self._drop_rest()
         self._stops.destroy()
         self.destroy_service(self._inject_in)
-        for publisher in (self._clock_out, self._rotor_out, self._status_out):
+        self._status.destroy()
+        for publisher in (self._clock_out, self._rotor_out):
             self.destroy_publisher(publisher)
 
     # The period -----------------------------------------------------------------------------
@@ -345,24 +340,15 @@ class PmsmSim(PwmNode):
         """Publish `drive_status` if it has changed, and say what faults are new."""
         core = self.core
         self._seen_faults = int(self._faults[0])
-        state = "tripped" if core.tripped else "running" if self.active else "ready"
-        enabled = bool(core.st["gates_on"][0])
-        faults = core.faults()
-        if (state, enabled, faults) == self._told:
-            return
-        self._told = (state, enabled, faults)
-        self._stops.log()
-        status = DriveStatus(
-            period=max(self.period, 0), node=self.get_name(), state=state, enabled=enabled
+        told = self._status.tell(
+            state="tripped" if core.tripped else "running" if self.active else "ready",
+            enabled=bool(core.st["gates_on"][0]),
+            faults=core.faults(),
+            period=self.period,
+            period_ns=int(core.par["period_ns"][0]),
         )
-        stamp = self._feedback.fixed["stamp"][0]
-        status.stamp.sec, status.stamp.nanosec = int(stamp["sec"]), int(stamp["nanosec"])
-        period_ns = int(core.par["period_ns"][0])
-        for code, period, detail in faults:
-            fault = DriveFault(code=code, detail=detail, period=period)
-            fault.stamp.sec, fault.stamp.nanosec = divmod(period * period_ns, 1_000_000_000)
-            status.faults.append(fault)
-        self._status_out.publish(status)
+        if told:
+            self._stops.log()
 
 
 def main() -> int:

@@ -1,0 +1,91 @@
+"""`drive_status` of a node: its state and its latched faults, published when they change."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mfpcc_msgs.msg import DriveFault, DriveStatus
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from pwm_node.stops import Fault
+
+#: Who comes later gets the state that is, not those that were.
+STATUS_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class StatusPublisher:
+    """
+    Publishes `drive_status`.
+
+    Parameters
+    ----------
+    node : Node
+        The node it speaks for.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(DriveStatus, "drive_status", STATUS_QOS)
+        self._told: tuple[Any, ...] = ()
+
+    def tell(
+        self,
+        *,
+        state: str,
+        enabled: bool,
+        faults: list[Fault],
+        period: int,
+        period_ns: int,
+        scheme: str = "",
+    ) -> bool:
+        """
+        Publish what is, if it is something new.
+
+        Parameters
+        ----------
+        state : str
+            ready, running, stopping or tripped.
+        enabled : bool
+            Whether the gates may be on.
+        faults : list of Fault
+            Latched faults, oldest first.
+        period : int
+            The period in which it is so; before the first, any negative number.
+        period_ns : int
+            Duration of a period (ns), for the stamps.
+        scheme : str
+            The scheme in control, where there is one.
+
+        Returns
+        -------
+        bool
+            Whether it was published.
+        """
+        now = (state, enabled, scheme, faults)
+        if now == self._told:
+            return False
+        self._told = now
+        status = DriveStatus(
+            period=max(period, 0),
+            node=self._node.get_name(),
+            state=state,
+            enabled=enabled,
+            scheme=scheme,
+            faults=[
+                _stamped(DriveFault(code=code, detail=detail, period=at), at, period_ns)
+                for code, at, detail in faults
+            ],
+        )
+        self._publisher.publish(_stamped(status, status.period, period_ns))
+        return True
+
+    def destroy(self) -> None:
+        """Take the publisher down, so that nobody who comes later gets its last word."""
+        self._node.destroy_publisher(self._publisher)
+
+
+def _stamped(message: Any, period: int, period_ns: int) -> Any:
+    """Give a message the simulated time at which its period begins."""
+    message.stamp.sec, message.stamp.nanosec = divmod(period * period_ns, 1_000_000_000)
+    return message
