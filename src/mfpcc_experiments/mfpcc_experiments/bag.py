@@ -230,7 +230,7 @@ class McapSink:
         self._offset = 0
         self._crc = 0
         self._metadata: list[MetadataIndex] = []
-        self._write(MAGIC + _encode(Header(profile="ros2", library="mfpcc")))
+        self._write(MAGIC + encode(Header(profile="ros2", library="mfpcc")))
 
     def _write(self, data: bytes) -> None:
         """Append all of `data`, or nothing."""
@@ -247,7 +247,7 @@ class McapSink:
 
     def metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Append a metadata record."""
-        record = _encode(Metadata(name=name, metadata=dict(data)))
+        record = encode(Metadata(name=name, metadata=dict(data)))
         index = MetadataIndex(offset=self._offset, length=len(record), name=name)
         self._write(record)
         self._metadata.append(index)
@@ -328,7 +328,7 @@ class McapSink:
 
     def finish(self) -> None:
         """Append the end of the data, the summary and the footer (all or nothing)."""
-        end = _encode(DataEnd(data_section_crc=self._crc))
+        end = encode(DataEnd(data_section_crc=self._crc))
         start = self._offset + len(end)
         first, last = self.times
         counts = self.counts
@@ -357,23 +357,24 @@ class McapSink:
         summary = b""
         table = b""
         for opcode, records in groups:
-            data = b"".join(_encode(record) for record in records)
+            data = b"".join(encode(record) for record in records)
             if data:
-                table += _encode(SummaryOffset(opcode, start + len(summary), len(data)))
+                table += encode(SummaryOffset(opcode, start + len(summary), len(data)))
             summary += data
         footer = Footer(
             summary_start=start, summary_offset_start=start + len(summary), summary_crc=0
         )
-        covered = summary + table + _encode(footer)[:-4]
+        covered = summary + table + encode(footer)[:-4]
         footer.summary_crc = zlib.crc32(covered)
-        self._write(end + summary + table + _encode(footer) + MAGIC)
+        self._write(end + summary + table + encode(footer) + MAGIC)
 
     def close(self) -> None:
         """Close the file as it is."""
         self._file.close()
 
 
-def _encode(record: McapRecord) -> bytes:
+def encode(record: McapRecord) -> bytes:
+    """A record as it stands in a file."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
@@ -721,7 +722,7 @@ class BagWriter:
                 data=message_definition(type_name).encode(),
             )
             self._sink.schemas[schema_id] = schema
-            self._buffer += _encode(schema)
+            self._buffer += encode(schema)
         channel = Channel(
             id=len(self._topics) + 1,
             topic=topic if topic.startswith("/") else self._namespace + topic,
@@ -733,7 +734,7 @@ class BagWriter:
             },
         )
         self._sink.channels[channel.id] = channel
-        self._buffer += _encode(channel)
+        self._buffer += encode(channel)
         entry = self._topics[topic] = _Topic(channel.id)
         return entry
 

@@ -34,6 +34,7 @@ _PIECE = 1 << 20  # bytes that are unpacked at a time
 
 _RECORD_HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
+_FOOTER = struct.Struct("<QQI")  # begin of the summary, of its index, checksum
 _unpack_message = MESSAGE_HEAD.unpack_from
 
 
@@ -130,6 +131,45 @@ def _records(file: Any, size: int, path: Path) -> Iterator[Record]:
     file.seek(max(offset, size - len(MAGIC)))
     if file.read() != MAGIC:
         raise _unfinished(path)
+
+
+def summary(path: Path) -> Iterator[Record]:
+    """
+    Read the copy of schemas and channels (and more) at the end of a file.
+
+    Parameters
+    ----------
+    path : Path
+        An MCAP file.
+
+    Yields
+    ------
+    Record
+        In the order of the file; none where there is no whole summary.
+    """
+    tail = _RECORD_HEAD.size + _FOOTER.size + len(MAGIC)
+    with open(path, "rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        if size < len(MAGIC) + tail:
+            return
+        file.seek(size - tail)
+        footer = file.read()
+        opcode, length = _RECORD_HEAD.unpack_from(footer)
+        begin, _, crc = _FOOTER.unpack_from(footer, _RECORD_HEAD.size)
+        if (opcode, length, footer[-len(MAGIC) :]) != (Opcode.FOOTER, _FOOTER.size, MAGIC):
+            return
+        if not 0 < begin <= size - tail or size - begin > MAX_CHUNK:
+            return
+        file.seek(begin)
+        data = file.read(size - tail - begin)
+    if crc != zlib.crc32(footer[: _RECORD_HEAD.size + _FOOTER.size - 4], zlib.crc32(data)):
+        return
+    position = 0
+    while len(data) - position >= _RECORD_HEAD.size:
+        opcode, length = _RECORD_HEAD.unpack_from(data, position)
+        content = position + _RECORD_HEAD.size
+        position = content + length
+        yield Record(opcode, data[content:position], begin + position)
 
 
 def _unfinished(path: Path) -> UnfinishedError:

@@ -13,7 +13,10 @@ import os
 import shutil
 import struct
 from array import array
+from contextlib import suppress
 from pathlib import Path
+
+from mcap.opcode import Opcode
 
 from mfpcc_experiments import mcap_file
 from mfpcc_experiments.bag import (
@@ -22,6 +25,7 @@ from mfpcc_experiments.bag import (
     SUMMARY_RECORD,
     BagError,
     McapSink,
+    encode,
     finish_bag,
     json_record,
 )
@@ -94,6 +98,10 @@ class _Copy:
         self._summary: dict[str, object] = {}
         self._custom: dict[str, str] = {}
         self._channels = mcap_file.Channels(source)
+        # The chunk that says what the channels are may be the damaged one; the summary says it too.
+        with suppress(mcap_file.DamagedError):
+            for record in mcap_file.summary(source):
+                self._channels.see(record.opcode, record.content)
         self._sent: set[int] = set()
         # Messages that lie outside of chunks, until there are enough for one.
         self._loose = bytearray()
@@ -144,20 +152,38 @@ class _Copy:
 
     def _chunk(self, data: bytes) -> None:
         """Copy one chunk; its index is made anew."""
-        index: dict[int, array[int]] = {}
+        messages: list[tuple[int, int, int]] = []
+        there = set(self._sent)
         for opcode, begin, end, channel_id, log_time in mcap_file.split(data, self.source):
             if opcode == 5:
                 self._channels.topic(channel_id)  # known, or the chunk is of no use
-                index.setdefault(channel_id, array("Q")).extend((log_time, begin - 31))
+                messages.append((channel_id, log_time, begin - 31))
             else:
                 self._channels.see(opcode, data[begin:end])
+                if opcode == Opcode.CHANNEL:
+                    there.add(int.from_bytes(data[begin : begin + 2], "little"))
+        # What a dropped chunk said of its channels is said again.
+        head = b"".join(
+            self._description(channel_id)
+            for channel_id in sorted({channel_id for channel_id, _, _ in messages} - there)
+        )
+        index: dict[int, array[int]] = {}
+        for channel_id, log_time, offset in messages:
+            index.setdefault(channel_id, array("Q")).extend((log_time, offset + len(head)))
         # Every channel of the summary must be known to the sink before it counts messages of it.
         for channel_id in index:
             channel = self._channels.channels[channel_id]
             self.sink.channels[channel_id] = channel
             if channel.schema_id in self._channels.schemas:
                 self.sink.schemas[channel.schema_id] = self._channels.schemas[channel.schema_id]
-        self.sink.chunk(data, index)
+        self.sink.chunk(head + data, index)
+        self._sent = there | set(index)
+
+    def _description(self, channel_id: int) -> bytes:
+        """Schema and channel records of a channel."""
+        channel = self._channels.channels[channel_id]
+        schema = self._channels.schemas.get(channel.schema_id)
+        return (b"" if schema is None else encode(schema)) + encode(channel)
 
     def finish(self) -> None:
         """Finish the copy."""

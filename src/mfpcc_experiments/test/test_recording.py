@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mfpcc_experiments import bag, metrics, recording, recover
@@ -266,6 +266,20 @@ def test_a_damaged_part_is_dropped_and_the_old_file_kept(make_bag):
     found = recording.read(path)
     assert found.lost_periods == 500 and len(found.problems) > 0
     assert file.with_name(file.name + ".damaged").read_bytes() == data
+
+
+def test_what_the_first_chunk_alone_said_of_the_topics_is_found_at_the_end(make_bag):
+    path = make_bag(periods=3000)
+    (file,) = path.glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    data[data.index(b"lz4") + 1000] ^= 1
+    file.write_bytes(data)
+    assert "1 damaged part dropped" in recover.recover(path)
+    found = recording.read(path)
+    assert found.feedback["period"].tolist() == list(range(500, 3000))
+    assert found.problems == []
+    with Reader(path) as reader:
+        assert len(list(reader.messages())) == 10_001  # the command for period 500 too
 
 
 def test_random_mutations_never_give_wrong_numbers_silently(make_bag):
