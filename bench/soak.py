@@ -100,8 +100,10 @@ class Restless(PwmNode):
         self._change, self._rng = change, np.random.default_rng([seed, number])
         self.next_change = 0
         # Their history is bounded, and filling it is no growth: full from the start.
-        blank = {"period": 0, "name": "scheme", "value": "", "was": ""}
-        self.changes.extend(dict(blank) for _ in range(self.changes.maxlen or 0))
+        self.changes.extend(
+            {"period": -1000 - n, "name": "load_torque", "value": float(n), "was": 0.0}
+            for n in range(self.changes.maxlen or 0)
+        )
 
     def apply_due(self, period: int) -> None:
         """Change something, and choose when to do so again."""
@@ -130,11 +132,15 @@ class PeriodTimes:
     def __init__(self) -> None:
         self.counts = np.zeros(2000, np.int64)  # from 1 us on, to 400 s
         self.longest = 0.0
-        self._before = time.perf_counter_ns()
+        self.began = math.nan  # by the monotonic clock (s)
+        self._before = 0
 
     def tick(self) -> None:
         """A period begins."""
         now = time.perf_counter_ns()
+        if not self._before:
+            self.began, self._before = time.monotonic(), now
+            return
         us = (now - self._before) * 1e-3
         self._before = now
         if us > self.longest:
@@ -174,7 +180,6 @@ class Soak:
     log_lines: int = 0
     log_bytes: int = 0
     over: Future = field(default_factory=Future)
-    began: float = field(default_factory=time.monotonic)
 
     def on_log(self, message: Log) -> None:
         """Count a line of log."""
@@ -197,7 +202,7 @@ class Soak:
         self.memory[self.samples] = hours, megabytes
         self.samples += 1
         if sys.stderr.isatty():
-            wall = time.monotonic() - self.began
+            wall = time.monotonic() - self.times.began
             print(
                 f"\r{60.0 * hours:.1f} of {self.periods / 6e5:g} min simulated, "
                 f"{3600.0 * hours / wall:.2f} times real time, {megabytes:.0f} MB ",
@@ -314,11 +319,11 @@ def main() -> int:
         box.create_subscription(Log, "/rosout", soak.on_log, 1000)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         box.create_timer(_LOOK_EVERY, lambda: soak.look(plant), clock=steady)
-        soak.began = begin = time.monotonic()
         code = spin.run([plant, controller, box], until=soak.over)
-        wall = time.monotonic() - begin
+        wall = time.monotonic() - soak.times.began
         print(file=sys.stderr)
-        result = report(soak, plant, controller, wall)
+        # without a sample it has not begun; why was said
+        result = report(soak, plant, controller, wall) if soak.samples else 1
         for node in (plant, controller, box):
             node.destroy_node()
     return code or result
