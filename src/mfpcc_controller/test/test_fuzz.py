@@ -188,7 +188,7 @@ def test_any_samples_give_sound_commands_and_no_trip_is_missed(
     fb, cmd, lut = (
         np.zeros(1, fixed_dtype(kind)) for kind in (PhaseFeedback, DutyCommand, LutDiagnostics)
     )
-    for rng in fuzz.cases(16):
+    for rng in fuzz.cases(10):
         controller = Controller(
             TABLE.complete(
                 {

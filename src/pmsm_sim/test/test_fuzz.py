@@ -143,12 +143,12 @@ def run(rng: np.random.Generator, values: dict[str, object]) -> None:
 
 
 def test_any_commands() -> None:
-    for rng in fuzz.cases(100):
+    for rng in fuzz.cases(60):
         run(rng, {})
 
 
 def test_any_commands_with_any_parameters() -> None:
-    for rng in fuzz.cases(50):
+    for rng in fuzz.cases(30):
         try:
             run(rng, fuzz.legal_values(TABLE, rng, rng.choice([0.02, 0.1, 0.5])))
         except PlantError:
