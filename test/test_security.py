@@ -59,6 +59,15 @@ def has(outside: Outside, node: str) -> Rights:
     return {rule: {name for name, _ in found} for rule, found in answers.items()}
 
 
+def check(outside: Outside, node: str, rights: Rights) -> None:
+    """Hold a node against the graph."""
+
+    def same() -> bool:
+        return node in outside.node.get_node_names() and has(outside, node) == rights
+
+    until(same, f"{node} has what it may have, {rights}", 30.0)
+
+
 def test_each_node_may_do_what_it_does_and_no_more(
     start: Start, outside: Outside, tmp_path: Path
 ) -> None:
@@ -68,16 +77,16 @@ def test_each_node_may_do_what_it_does_and_no_more(
     outside.until_beyond(50, "the loop runs")
     recorder.wait_for("recording into")
     for node in ("pmsm_sim", "mfpcc_controller", "recorder"):
-        rights = allowed(f"/{node}")[node]
-
-        def same(node: str = node, rights: Rights = rights) -> bool:
-            return node in outside.node.get_node_names() and has(outside, node) == rights
-
-        until(same, f"{node} has what it may have, {rights}", 30.0)
+        check(outside, node, allowed(f"/{node}")[node])
 
 
-def test_one_process_with_both_nodes_may_do_what_both_may() -> None:
-    assert allowed("/drive") == {**allowed("/pmsm_sim"), **allowed("/mfpcc_controller")}
+def test_one_process_with_both_nodes_may_do_what_both_may_and_the_black_box(
+    start: Start, outside: Outside, tmp_path: Path
+) -> None:
+    rights = allowed("/drive")
+    start("mfpcc_experiments", "drive", "--ros-args", "-p", f"black_box:={tmp_path}")
+    check(outside, "black_box", rights.pop("black_box"))
+    assert rights == {**allowed("/pmsm_sim"), **allowed("/mfpcc_controller")}
 
 
 def test_the_operator_reaches_every_service_and_no_command() -> None:
