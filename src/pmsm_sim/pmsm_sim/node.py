@@ -33,6 +33,8 @@ from pwm_node.wire import Wire, WireError
 
 _LOOK_EVERY = 0.01  # s
 _AT_ONCE = 1000  # periods without an answer
+# A sample is taken within this time (s), or a few more have come: a queue of ten takes them.
+_TAKEN_WITHIN = 5e-4
 _ROTOR_RATE = 100.0  # Hz of simulated time
 _START_CONTROLLER = "ros2 run mfpcc_controller controller"
 
@@ -188,7 +190,7 @@ class PmsmSim(PwmNode):
             self._run_period()
         if self._rest is None:
             self._rest = self.create_timer(
-                0.0, self._advance, clock=Clock(clock_type=ClockType.STEADY_TIME)
+                _TAKEN_WITHIN, self._advance, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
 
     def _drop_rest(self) -> None:
