@@ -170,9 +170,11 @@ class BlackBox:
             )
 
     def _has(self, period: int) -> bool:
-        """Whether a period lies in the ring; a fault from before this box was there does not."""
+        """Whether a period lies in the ring, or will: from another process, news of a fault may
+        come before its sample. A fault from before this box was there does not.
+        """
         ring = self.rings["phase_feedback"]
-        return bool(ring) and _period(ring[0]) <= period <= _period(ring[-1])
+        return bool(ring) and _period(ring[0]) <= period <= _period(ring[-1]) + _ROOM
 
     def _look(self) -> None:
         """Write as soon as the time after the fault is there, or will not come."""
@@ -181,9 +183,9 @@ class BlackBox:
         end = event.period + self.after
         newest = _period(self.rings["phase_feedback"][-1])
         now = time.monotonic()
+        began_anew = newest < event.seen
         if newest != event.seen:
             event.seen, event.seen_at = newest, now
-        began_anew = newest < event.period
         stands_still = now - event.seen_at > _STANDS_STILL_AFTER
         # From another process one topic may come later than another; or no more, at a fault.
         room_is_short = newest >= end + _ROOM // 2
