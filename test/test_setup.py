@@ -24,6 +24,8 @@ WITHOUT_KEY = ("lz4", "mcap", "motulator", "rosbags", "zstandard")
 # The package of configuration files is used by name, and imported by nobody; what launch files
 # import, they import where they are launched.
 USED_BY_NAME = {"pwm_node": {"mfpcc_config"}, "mfpcc_experiments": {"launch", "launch_ros"}}
+# What the tests of all packages share lies beside this file.
+SHARED_BY_TESTS = {file.stem for file in Path(__file__).parent.glob("*.py")}
 
 EXECUTABLES = [
     ("pmsm_sim", "pmsm_sim"),
@@ -48,7 +50,7 @@ def imports(folder: Path) -> set[str]:
                 names.update(alias.name.split(".")[0] for alias in node.names)
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 names.add(node.module.split(".")[0])
-    return names - sys.stdlib_module_names - {"conftest"}
+    return names - sys.stdlib_module_names - SHARED_BY_TESTS
 
 
 def dependencies(names: set[str]) -> set[str]:
@@ -104,8 +106,10 @@ def test_packages_agree_on_version_and_licence():
 
 def test_every_message_is_generated():
     folder = ROOT / "src/mfpcc_msgs"
-    listed = re.findall(r"\bmsg/\w+\.msg", (folder / "CMakeLists.txt").read_text())
-    assert listed == sorted(f"msg/{file.name}" for file in folder.glob("msg/*.msg"))
+    text = (folder / "CMakeLists.txt").read_text()
+    for kind in ("msg", "srv"):
+        listed = re.findall(rf"\b{kind}/\w+\.{kind}", text)
+        assert listed == sorted(f"{kind}/{file.name}" for file in folder.glob(f"{kind}/*"))
 
 
 @pytest.mark.parametrize(("package", "executable"), EXECUTABLES)

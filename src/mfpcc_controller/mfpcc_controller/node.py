@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from mfpcc_msgs.msg import (
+    DriveFault,
     DriveReference,
     DriveStatus,
     DutyCommand,
@@ -87,7 +88,7 @@ class MfpccController(PwmNode):
         self._reference_in = self.create_subscription(
             DriveReference, "reference", self._on_reference, 10
         )
-        self._status = StatusPublisher(self)
+        self._status = StatusPublisher(self, DriveStatus, DriveFault)
         self._status_in = self.create_subscription(
             DriveStatus,
             "drive_status",

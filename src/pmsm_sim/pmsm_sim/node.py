@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from mfpcc_msgs.msg import DriveState, DutyCommand, PhaseFeedback
+from mfpcc_msgs.msg import DriveFault, DriveState, DriveStatus, DutyCommand, PhaseFeedback
 from mfpcc_msgs.srv import InjectFault
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -82,7 +82,7 @@ class PmsmSim(PwmNode):
         self._rotor_every = max(round(self.values["pwm_frequency"] / _ROTOR_RATE), 1)
         self._clock_out = self.create_publisher(ClockMessage, "/clock", 10)
         self._rotor_out = self.create_publisher(JointState, "joint_states", 10)
-        self._status = StatusPublisher(self)
+        self._status = StatusPublisher(self, DriveStatus, DriveFault)
         self._stops = Stops(self, "a command that has the gates off, and then one that has them on")
         self._faults = self.core.st["faults"]
         self._injector = self.core.st["injector"][0]

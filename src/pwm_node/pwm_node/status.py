@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from mfpcc_msgs.msg import DriveFault, DriveStatus
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -22,11 +21,14 @@ class StatusPublisher:
     ----------
     node : Node
         The node it speaks for.
+    status, fault : type
+        Classes of the message and of the faults in it.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, status: type[Any], fault: type[Any]) -> None:
         self._node = node
-        self._publisher = node.create_publisher(DriveStatus, "drive_status", STATUS_QOS)
+        self._status, self._fault = status, fault
+        self._publisher = node.create_publisher(status, "drive_status", STATUS_QOS)
         self._told: tuple[Any, ...] = ()
 
     def tell(
@@ -66,14 +68,14 @@ class StatusPublisher:
         if now == self._told:
             return False
         self._told = now
-        status = DriveStatus(
+        status = self._status(
             period=max(period, 0),
             node=self._node.get_name(),
             state=state,
             enabled=enabled,
             scheme=scheme,
             faults=[
-                _stamped(DriveFault(code=code, detail=detail, period=at), at, period_ns)
+                _stamped(self._fault(code=code, detail=detail, period=at), at, period_ns)
                 for code, at, detail in faults
             ],
         )
