@@ -150,7 +150,7 @@ def test_a_killed_plant_disables_until_there_are_samples_again_and_it_is_cleared
     assert operator.enabled is True
     plant.kill()
     operator.until(lambda: operator.codes("mfpcc_controller") == ["FEEDBACK_LOST"], "it is told")
-    assert operator.enabled is False
+    operator.until(lambda: operator.enabled is False, "the disable is sent")
     controller.wait_for("clear_faults std_srvs/srv/Trigger")
     answer = operator.call("mfpcc_controller", "clear_faults")
     assert not answer.success and "FEEDBACK_LOST" in answer.message

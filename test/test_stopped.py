@@ -59,9 +59,12 @@ def test_in_lock_step_whoever_is_stopped_is_waited_for_and_nothing_is_lost(
 
 def run_again(outside: Outside) -> None:
     """Clear both, the reference to zero and up again: the drive must run."""
-    for node in ("mfpcc_controller", "pmsm_sim"):
-        answer = outside.call(node, "clear_faults")
-        assert answer.success, answer.message
+    # the inverter has to get a command first; its samples tell the controller that it is well again
+    for node in ("pmsm_sim", "mfpcc_controller"):
+        outside.until(
+            lambda node=node: outside.call(node, "clear_faults").success,  # type: ignore[misc]
+            f"{node} is cleared",
+        )
     (answer,) = outside.set("mfpcc_controller", speed_ref_rpm=0.0)
     assert answer.successful, answer.reason
     outside.until(lambda: outside.enabled("pmsm_sim"), "the gates are on again")

@@ -15,6 +15,8 @@ def make(toy, context):
     nodes = []
 
     def _make(**given):
+        while nodes:  # of a name there is one at a time
+            nodes.pop().destroy_node()
         overrides = [RosParameter(name, value=value) for name, value in given.items()]
         nodes.append(toy.Ping(context=context, parameter_overrides=overrides))
         nodes[-1].core = toy.Log(nodes[-1].values)
