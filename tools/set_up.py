@@ -252,7 +252,9 @@ def _write(stamp: Path, content: Stamp) -> None:
 
 def _pip(python: Path) -> list[str | Path]:
     quiet = ("--quiet", "--no-input", "--disable-pip-version-check")
-    return [python, "-m", "pip", "install", *quiet, "--require-hashes"]
+    # Without --no-deps pip looks for the newest release of what packages with extras ask for, and
+    # refuses it as not pinned: the lock is complete, so nothing is left to resolve.
+    return [python, "-m", "pip", "install", *quiet, "--require-hashes", "--no-deps"]
 
 
 def _environment() -> dict[str, str]:
