@@ -44,7 +44,7 @@ def test_a_scheme_gives_its_recorded_commands_and_predictions(scheme: str) -> No
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_the_recording_is_whole_and_measures_as_before(scheme: str) -> None:
     found = read(scheme)
-    assert found.problems == []
+    assert found.notes == []
     assert found.lost_periods == 0
     assert found.scheme_name == scheme
     rows = {row["scheme"]: row for row in json.loads((FOLDER / "metrics.json").read_text())}

@@ -53,7 +53,7 @@ def test_in_lock_step_whoever_is_stopped_is_waited_for_and_nothing_is_lost(
         process.signal(signal.SIGINT)
         assert process.wait() == 0, process.output
     found = recording.read(bag)
-    assert found.lost_periods == 0, found.problems
+    assert found.lost_periods == 0, found.notes
     assert found.feedback["period"][0] == 0
 
 

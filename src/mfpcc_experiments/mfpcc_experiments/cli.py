@@ -5,7 +5,8 @@ A verb is the click command named `command` in its file; putting a file there is
 verb imports what it works with inside its function, so that `mfpcc --help` is there at once.
 
 What is said to people goes to stderr as one line, without a traceback. The exit code is 0 for
-success, 1 for a failure, 2 for a command line that makes no sense, 130 for Ctrl-C.
+success, 1 for a failure, 2 for a command line that makes no sense, 3 where the work was done but
+the drive did not do what was asked for (`notes`), 130 for Ctrl-C.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mfpcc_experiments import metrics, recording
+from mfpcc_experiments import metrics, notes, recording
 from mfpcc_experiments.bag import BagError
 from mfpcc_experiments.measured import Measured, labels, signals
 
@@ -103,7 +103,6 @@ def _measure_one(path: Path, progress: Progress) -> dict[str, Any]:
         "window": metrics.cut(found),
         "signals": signals(found),
         "config": found.config,
-        "problems": found.problems,
     }
 
 
@@ -278,6 +277,8 @@ def print_table(rows: Sequence[dict[str, Any]]) -> None:
         if n:
             console.print()
         console.print(table)
+    for line in notes.lines(rows, names):
+        console.print(escape(line), soft_wrap=True)
 
 
 def _side_by_side(names: Sequence[str], width: int) -> list[slice]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfpcc_experiments import metrics
+from mfpcc_experiments.happened import scheme_title
 from mfpcc_experiments.recording import Recording
 
 #: Colours of Okabe and Ito, told apart by everybody, in an order that keeps their distance.
@@ -54,8 +55,6 @@ class Measured:
         Quantities over the whole recording, by name (see `signals`).
     config : dict
         Configuration of the run.
-    problems : list of str
-        What is not as it should be with the recording.
     """
 
     path: Path
@@ -64,12 +63,6 @@ class Measured:
     window: metrics.Window
     signals: dict[str, Signal]
     config: dict[str, Any] = field(default_factory=dict)
-    problems: Sequence[str] = ()
-
-
-def scheme_title(name: str) -> str:
-    """Name of a scheme as it is printed: ``mls_mfpcc`` is MLS-MFPCC."""
-    return " -> ".join(part.upper().replace("_", "-") for part in name.split(" -> "))
 
 
 def labels(rows: Sequence[dict[str, Any]], paths: Sequence[Path]) -> list[str]:

@@ -25,7 +25,8 @@ from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.closed_loop import Run, run
 from mfpcc_experiments.engine import step_time
 from mfpcc_experiments.figures import REFERENCE, STYLE
-from mfpcc_experiments.measured import COLOURS, scheme_title
+from mfpcc_experiments.happened import scheme_title
+from mfpcc_experiments.measured import COLOURS
 
 ENCODER = {"sensor.encoder_lines": 2500}
 LOAD_STEP = ("0.2 load_torque 5.0",)

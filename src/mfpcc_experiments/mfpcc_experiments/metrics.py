@@ -35,6 +35,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfpcc_experiments.notes import warning
+
 if TYPE_CHECKING:
     from mfpcc_experiments.recording import Recording
 
@@ -789,6 +791,9 @@ def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> d
     speed = float(w.theta[-1] - w.theta[0]) / float(w.time[-1] - w.time[0])  # electrical, rad/s
     square = float(np.mean(np.abs(w.i_dq if w.fine_dq is None else w.fine_dq) ** 2))
     R_s = config.get("R_s")
+    notes = list(recording.notes)
+    if recording.lost_periods:
+        notes.insert(0, warning(f"{recording.lost_periods} periods are incomplete"))
     step_time = summary.get("step_time_us") or {}
     row = {
         "experiment": config.get("experiment"),
@@ -817,6 +822,7 @@ def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> d
         "copper_loss_w": None if R_s is None else 1.5 * float(R_s) * square,
         "current_steps": _current_steps(recording),
         "scatter": scatter(w),
+        "notes": [note.to_json() for note in notes],
     }
     cleaned: dict[str, Any] = _clean(row)
     return cleaned

@@ -30,6 +30,7 @@ from mfpcc_experiments.bag import (
     BagError,
     message_definition,
 )
+from mfpcc_experiments.notes import Note, warning
 
 Progress = Callable[[float], None]
 _Periods = NDArray[np.int64]
@@ -67,8 +68,8 @@ class Recording:
         Pole pairs, None where neither stored nor to be told from the topics.
     lost_periods : int
         Periods of which a message is missing.
-    problems : list of str
-        What is not as it should be, in sentences.
+    notes : list of Note
+        What is not as it should be with the file.
     """
 
     path: Path
@@ -84,7 +85,7 @@ class Recording:
     T_s: float = 0.0
     n_p: int | None = None
     lost_periods: int = 0
-    problems: list[str] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
 
     @property
     def oversampling(self) -> int:
@@ -125,7 +126,7 @@ def read(
     Returns
     -------
     Recording
-        Its `problems` say what is missing or odd.
+        Its `notes` say what is missing or odd.
 
     Raises
     ------
@@ -305,9 +306,9 @@ class _Collector:
                 f"{self.path}: no messages of topic {' and '.join(missing)}"
                 + (there if not any(c.count for c in self._columns.values()) else "")
             )
-        problems: list[str] = []
+        notes: list[Note] = []
         periods = {name: column.period() for name, column in self._columns.items()}
-        keep = {name: _rising(name, period, problems) for name, period in periods.items()}
+        keep = {name: _rising(name, period, notes) for name, period in periods.items()}
         if not self.config or all(p[0] > 0 for p in periods.values() if len(p)):
             # Who joins a drive that runs finds the topics one after the other; another recorder,
             # such as `ros2 bag record`, leaves them so too.
@@ -327,7 +328,7 @@ class _Collector:
             scheme=scheme,
             i_abc_oversampled=None if waves is None else waves[0],
             legs_oversampled=None if waves is None else waves[1],
-            problems=problems,
+            notes=notes,
         )
         recording.lost_periods = _lost(recording)
         _complete(recording)
@@ -525,7 +526,7 @@ def _concatenate(parts: list[NDArray[Any]], keep: _Rows, empty: NDArray[Any]) ->
 # --- Completeness ------------------------------------------------------------------------------
 
 
-def _rising(name: str, period: NDArray[np.int64], problems: list[str]) -> _Rows:
+def _rising(name: str, period: NDArray[np.int64], notes: list[Note]) -> _Rows:
     """Rows with rising period numbers: repeats dropped, of several runs the longest."""
     step = np.diff(period)
     if (step > 0).all():
@@ -533,16 +534,18 @@ def _rising(name: str, period: NDArray[np.int64], problems: list[str]) -> _Rows:
     keep = np.ones(len(period), bool)
     repeats = int(np.count_nonzero(step == 0))
     if repeats:
-        problems.append(f"{name}: {repeats} period numbers come twice; the first counts")
+        notes.append(warning(f"{name}: {repeats} period numbers come twice; the first counts"))
         keep[1:] = step != 0
     back = np.flatnonzero(step < 0) + 1
     if len(back):
         borders = [0, *back.tolist(), len(period)]
         lengths = np.diff(borders)
         longest = int(np.argmax(lengths))
-        problems.append(
-            f"{name}: the period number goes back {len(back)} times (was the drive restarted?); "
-            f"only the longest run is used, from period {period[borders[longest]]}"
+        notes.append(
+            warning(
+                f"{name}: the period number goes back {len(back)} times (was the drive "
+                f"restarted?); only the longest run is used, from period {period[borders[longest]]}"
+            )
         )
         keep[: borders[longest]] = False
         keep[borders[longest + 1] :] = False
@@ -594,7 +597,8 @@ def _lost(recording: Recording) -> int:
         if inside + outside:
             where = period[:-1][step > usual]
             at = f", first after period {where[0]}" if len(where) else ", at its begin or end"
-            recording.problems.append(f"{name}: {inside + outside} messages are missing{at}")
+            text = f"{name}: {inside + outside} messages are missing{at}"
+            recording.notes.append(warning(text))
         lost = max(lost, (inside + outside) * usual)
     return lost
 

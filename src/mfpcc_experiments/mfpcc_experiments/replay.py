@@ -31,6 +31,7 @@ from mfpcc_controller.drive import Controller, answer
 from mfpcc_controller.parameters import TABLE
 from mfpcc_controller.vectors import LEGS, set_output
 from mfpcc_experiments import metrics
+from mfpcc_experiments.happened import rows_of
 from mfpcc_experiments.recording import Recording
 from pwm_node import schedule
 from pwm_node.compiled import kernel
@@ -288,34 +289,6 @@ class Samples:
         into.duty[rows] = command["duty"]
         recorded = self.recording.command[self._answer_row[rows]]
         into.differs[rows] = self.answered[rows] & _differ(command, recorded)
-
-
-def rows_of(
-    wanted_in: NDArray[np.uint64], period: NDArray[np.uint64]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """
-    Find periods in a topic.
-
-    Parameters
-    ----------
-    wanted_in : ndarray of uint64, shape (m,)
-        Period numbers of the topic, rising.
-    period : ndarray of uint64, shape (n,)
-        What to find.
-
-    Returns
-    -------
-    row : ndarray of int64, shape (n,)
-        Row of each period, 0 where there is none.
-    there : ndarray of bool, shape (n,)
-        Whether there is one.
-    """
-    row = np.searchsorted(wanted_in, period)
-    there = row < len(wanted_in)
-    row[~there] = 0
-    there &= wanted_in[row] == period
-    row[~there] = 0
-    return row, there
 
 
 def _differ(one: NDArray[np.void], other: NDArray[np.void]) -> NDArray[np.bool_]:

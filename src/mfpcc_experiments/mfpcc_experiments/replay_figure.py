@@ -13,7 +13,8 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from mfpcc_experiments.figures import REFERENCE, STYLE, format_value, limits, note
-from mfpcc_experiments.measured import COLOURS, scheme_title
+from mfpcc_experiments.happened import scheme_title
+from mfpcc_experiments.measured import COLOURS
 from mfpcc_experiments.replay import Replay, Samples, window_rows
 
 #: Time shown of the duties (s): a few tens of periods, so that single ones can be seen.

@@ -366,8 +366,8 @@ def main() -> int:
     arguments = _arguments(rclpy.utilities.remove_ros_args(sys.argv)[1:])
     try:
         bag = recording.read(arguments.bag, namespace=arguments.namespace)
-        for problem in bag.problems:
-            print(f"note: {problem}", file=sys.stderr)
+        for note in bag.notes:
+            print(f"{note.severity}: {note}", file=sys.stderr)
         if arguments.parameters is not None:
             write_parameters(bag, arguments.parameters)
             return 0

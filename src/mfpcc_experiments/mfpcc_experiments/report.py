@@ -84,8 +84,8 @@ def render(runs: Sequence[Measured], figures: Mapping[str, Path]) -> str:
         subtitle=_subtitle(runs),
         runs=runs,
         table=_table(runs),
-        problems=[(run.label, problem) for run in runs for problem in _problems(run)],
-        notes=_notes(runs),
+        notes=[(run.label, note) for run in runs for note in run.row["notes"]],
+        sources=_sources(runs),
         figures=[
             (name, _CAPTIONS[name], base64.b64encode(path.read_bytes()).decode("ascii"))
             for name, path in figures.items()
@@ -129,16 +129,7 @@ def _subtitle(runs: Sequence[Measured]) -> str:
     return " · ".join(parts)
 
 
-def _problems(run: Measured) -> list[str]:
-    problems = list(run.problems)
-    if run.row["lost_periods"]:
-        problems.insert(0, f"{run.row['lost_periods']} periods are incomplete")
-    if not run.row["steady"]:
-        problems.append("the evaluation window holds a transient, so there is no THD")
-    return problems
-
-
-def _notes(runs: Sequence[Measured]) -> list[str]:
+def _sources(runs: Sequence[Measured]) -> list[str]:
     """Where the motors come from: a figure is worth as much as the parameters behind it."""
     notes = []
     for run in runs:

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfpcc_experiments import metrics, recording
-from mfpcc_experiments.measured import Signal, scheme_title, signals
+from mfpcc_experiments.happened import scheme_title
+from mfpcc_experiments.measured import Signal, signals
 from mfpcc_experiments.metrics import Window
 from mfpcc_experiments.recording import Recording
 

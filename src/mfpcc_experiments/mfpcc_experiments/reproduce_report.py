@@ -12,7 +12,7 @@ import jinja2
 
 from mfpcc_experiments import scenario
 from mfpcc_experiments.compare import COLUMNS, text
-from mfpcc_experiments.measured import scheme_title
+from mfpcc_experiments.happened import scheme_title
 from mfpcc_experiments.reproduce import (
     CONFIRMED,
     DIFFERS,

@@ -98,7 +98,7 @@ def test_the_time_around_a_fault_is_written(drive: Drive) -> None:
     found = recording.read(drive.folder / page["bag"])
     for rows in (found.feedback, found.command, found.lut, found.state):
         assert rows["period"].tolist() == list(range(500, 3501))
-    assert found.problems == []
+    assert found.notes == []
     assert found.config["parameters"]["pmsm_sim"]["load_torque"] == 1.0  # when the bag begins
     assert [change["value"] for change in found.summary["parameter_changes"]] == [2.0, 3.0]
     assert (drive.folder / page["bag"] / "metadata.yaml").exists()

@@ -50,7 +50,7 @@ class Fake:
         (out / "metrics.json").write_text("[]")
         (out / "report.html").write_text("")
         progress(1.0)
-        return [{"scheme": path.name, "lost_periods": 0} for path in paths]
+        return [{"scheme": path.name, "notes": []} for path in paths]
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mfpcc_experiments import bag, compare, measured, metrics, recording, report
+from mfpcc_experiments import bag, compare, happened, measured, metrics, recording, report
 
 CONTRACT = {
     "experiment": None,
@@ -155,7 +155,7 @@ def test_a_table_too_wide_for_the_terminal_goes_on_below(compared, capsys, monke
     text = capsys.readouterr().out
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
     for scheme in schemes:
-        assert measured.scheme_title(scheme) in text
+        assert happened.scheme_title(scheme) in text
     assert len(re.findall(r"THD, oversampled( +2\.00)+ +%", text)) == 2
 
 

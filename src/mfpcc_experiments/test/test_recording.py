@@ -26,7 +26,7 @@ def test_arrays_hold_what_was_written(make_bag):
     first = [found.feedback[name] for name in ("i_a", "i_b", "i_c")]
     assert np.array_equal(found.i_abc_oversampled[:, 0], np.stack(first, axis=1))
     assert found.legs_oversampled[9].tolist() == [1] * 5
-    assert found.lost_periods == 0 and found.problems == []
+    assert found.lost_periods == 0 and found.notes == []
     assert found.summary["step_time_us"]["median"] == 3.0
 
 
@@ -34,7 +34,7 @@ def test_a_change_of_scheme_is_seen_row_by_row(make_bag, drive_messages):
     parts = [("mfpcc", 0), ("mbpcc", 40), ("mls_mfpcc", 100)]
     source = (m for name, at in parts for m in drive_messages(50, first=at, scheme=name))
     found = recording.read(make_bag(source=source, config={}))
-    assert found.scheme.tolist()[:41] == ["mfpcc"] * 40 + ["mbpcc"] or len(found.problems)
+    assert found.scheme.tolist()[:41] == ["mfpcc"] * 40 + ["mbpcc"] or len(found.notes)
     assert found.scheme_name.split(" -> ")[-1] == "mls_mfpcc"
 
 
@@ -86,10 +86,10 @@ def test_gaps_are_counted_and_named(make_bag, drive_messages):
     source = (m for n, m in enumerate(drive_messages(1000)) if n not in {400, 401, 404, 2002})
     found = recording.read(make_bag(source=source))
     assert found.lost_periods == 2
-    assert any("phase_feedback: 2 messages are missing, first after period 99" in p
-               for p in found.problems)  # fmt: skip
-    assert any(p.startswith("drive_state: 1 messages") for p in found.problems)
-    assert not any(p.startswith("duty_command") for p in found.problems)
+    assert any("phase_feedback: 2 messages are missing, first after period 99" in n.text
+               for n in found.notes)  # fmt: skip
+    assert any(n.text.startswith("drive_state: 1 messages") for n in found.notes)
+    assert not any(n.text.startswith("duty_command") for n in found.notes)
 
 
 def test_a_missing_end_is_a_gap(make_bag, drive_messages):
@@ -104,7 +104,7 @@ def test_decimated_topics_are_no_gaps(make_bag, drive_messages):
         if m[0] not in ("lut_diagnostics", "drive_state") or m[1] // 100_000 % 10 == 0
     )  # fmt: skip
     found = recording.read(make_bag(source=source))
-    assert len(found.lut) == 100 and found.lost_periods == 0 and found.problems == []
+    assert len(found.lut) == 100 and found.lost_periods == 0 and found.notes == []
     assert metrics.evaluate(found, (0.02, 0.08))["lut_error_max"]["d"] == 0.05
 
 
@@ -112,14 +112,16 @@ def test_repeats_are_dropped(make_bag, drive_messages):
     source = (m for n, m in enumerate(drive_messages(100)) for _ in range(2 if n == 40 else 1))
     found = recording.read(make_bag(source=source))
     assert len(found.feedback) == 100 and found.lost_periods == 0
-    assert found.problems == ["phase_feedback: 1 period numbers come twice; the first counts"]
+    assert [note.text for note in found.notes] == [
+        "phase_feedback: 1 period numbers come twice; the first counts"
+    ]
 
 
 def test_of_several_runs_the_longest_counts(make_bag, drive_messages):
     source = (m for n in (30, 200, 10) for m in drive_messages(n))
     found = recording.read(make_bag(source=source))
     assert len(found.feedback) == 200 and len(found.lut) == 200
-    assert "goes back 2 times" in found.problems[0]
+    assert "goes back 2 times" in found.notes[0].text
 
 
 def test_a_late_recorder(make_bag, drive_messages):
@@ -132,7 +134,7 @@ def test_a_late_recorder_finds_one_topic_after_the_other(make_bag, drive_message
     begins = {"phase_feedback": 1100, "lut_diagnostics": 2500, "drive_state": 1000}
     source = [m for m in drive_messages(5000) if m[1] >= 100_000 * begins.get(m[0], 1200)]
     found = recording.read(make_bag(source=source))
-    assert found.lost_periods == 0 and found.problems == []
+    assert found.lost_periods == 0 and found.notes == []
     assert found.feedback["period"][[0, -1]].tolist() == [2500, 4999]
     row = metrics.evaluate(found)
     assert row["lut_error_max"] == {"d": 0.05, "q": 0.1}
@@ -236,7 +238,7 @@ def test_a_split_bag(make_bag, drive_messages, tmp_path):
     shutil.copy(one / "one_0.mcap", tmp_path / "split" / "split_9.mcap")
     shutil.copy(two / "two_0.mcap", tmp_path / "split" / "split_10.mcap")
     found = recording.read(tmp_path / "split")
-    assert len(found.feedback) == 1000 and found.problems == []
+    assert len(found.feedback) == 1000 and found.notes == []
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
@@ -264,7 +266,7 @@ def test_a_damaged_part_is_dropped_and_the_old_file_kept(make_bag):
         recording.read(path)
     assert "1 damaged part dropped" in recover.recover(path)
     found = recording.read(path)
-    assert found.lost_periods == 500 and len(found.problems) > 0
+    assert found.lost_periods == 500 and len(found.notes) > 0
     assert file.with_name(file.name + ".damaged").read_bytes() == data
 
 
@@ -277,7 +279,7 @@ def test_what_the_first_chunk_alone_said_of_the_topics_is_found_at_the_end(make_
     assert "1 damaged part dropped" in recover.recover(path)
     found = recording.read(path)
     assert found.feedback["period"].tolist() == list(range(500, 3000))
-    assert found.problems == []
+    assert found.notes == []
     with Reader(path) as reader:
         assert len(list(reader.messages())) == 10_001  # the command for period 500 too
 

@@ -23,6 +23,9 @@ def command(bags: tuple[Path, ...], out: Path, force: bool) -> None:
 
     BAG is a recording (its folder or its .mcap file), or a folder with recordings in it, as
     `mfpcc run` leaves it.
+
+    The exit code is 3 where a recording is of a drive that did not do what was asked for (a trip,
+    a fallback, gates off or messages missing in the window): the notes below the table say what.
     """
     from mfpcc_experiments import compare
     from mfpcc_experiments.progress import progress_bar
@@ -32,15 +35,16 @@ def command(bags: tuple[Path, ...], out: Path, force: bool) -> None:
     with result_folder(out, force=force) as folder:
         with progress_bar() as begin:
             rows = compare.compare(recordings, folder, progress=begin("compare", 1.0))
-    show(rows, out)
+    conclude(rows, out)
 
 
-def show(rows: list[dict[str, Any]], out: Path) -> None:
-    """Print the table of metrics, and where the report is."""
-    from mfpcc_experiments import compare
+def conclude(rows: list[dict[str, Any]], out: Path, *, strict: bool = False) -> None:
+    """Print the table with its notes, and where the report is; end with the code of the notes."""
+    from mfpcc_experiments import compare, notes
 
     compare.print_table(rows)
     click.echo(f"report: {out / 'report.html'}")
+    click.get_current_context().exit(notes.exit_code(rows, strict=strict))
 
 
 def _recordings(path: Path) -> list[Path]:

@@ -75,8 +75,8 @@ def command(
         write_whole(folder / "metrics.json", json.dumps(rows, indent=2) + "\n")
     _print(samples, results, rows)
     click.echo(verdict)
-    for problem in read.problems:
-        click.echo(f"note: {problem}")
+    for note in read.notes:
+        click.echo(f"{note.severity}: {note}")
     click.echo(f"figure: {out / 'replay.png'}")
     if error is not None:
         raise error
