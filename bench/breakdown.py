@@ -19,8 +19,8 @@ from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedbac
 
 from mfpcc_controller.drive import Controller
 from mfpcc_controller.node import MfpccController
-from mfpcc_experiments.bag import BagWriter
-from mfpcc_experiments.record import sink
+from mfpcc_experiments.bags.bag import BagWriter
+from mfpcc_experiments.graph.recorder import sink
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.plant import Plant, advance, latch
 from pwm_node import compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from figures import Figure, figure
 
-from mfpcc_experiments import validation
+from mfpcc_experiments.proofs import validation
 
 
 def measure(*, quick: bool) -> list[Figure]:

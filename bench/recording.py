@@ -12,8 +12,9 @@ from typing import Any
 import drives
 from figures import Figure, figure
 
-from mfpcc_experiments import recording, run
-from mfpcc_experiments.scenario import Scenario
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.running import run
+from mfpcc_experiments.running.scenario import Scenario
 
 
 def measure(*, quick: bool) -> list[Figure]:

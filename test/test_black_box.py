@@ -9,8 +9,11 @@ import yaml
 from harness import Process
 from rosbags.rosbag2 import Reader
 
-from mfpcc_experiments import cli, recording, replay, run
-from mfpcc_experiments.scenario import Scenario
+from mfpcc_experiments import cli
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.measuring import replay
+from mfpcc_experiments.running import run
+from mfpcc_experiments.running.scenario import Scenario
 
 Start = Callable[..., Process]
 

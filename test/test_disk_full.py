@@ -13,7 +13,7 @@ from harness import PATIENCE, Process
 from outside import Outside
 from rosbags.rosbag2 import Reader
 
-from mfpcc_experiments import recording
+from mfpcc_experiments.bags import recording
 
 pytestmark = pytest.mark.skipif(
     not hasattr(resource, "RLIMIT_FSIZE"), reason="needs file size limits"

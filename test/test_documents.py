@@ -40,7 +40,7 @@ from rclpy.node import NodeNameNonExistentError
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments import verbs
-from mfpcc_experiments.replay_node import TABLE as REPLAYER
+from mfpcc_experiments.graph.replayer import TABLE as REPLAYER
 from pmsm_sim.parameters import TABLE as PLANT
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -24,8 +24,9 @@ from rosbags.rosbag2 import Reader
 from std_srvs.srv import Trigger
 
 from mfpcc_controller.node import MfpccController
-from mfpcc_experiments import faults, run
-from mfpcc_experiments.scenario import Scenario
+from mfpcc_experiments.proofs import faults
+from mfpcc_experiments.running import run
+from mfpcc_experiments.running.scenario import Scenario
 from pwm_node.wire import Wire
 
 Start = Callable[..., Process]

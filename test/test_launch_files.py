@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from harness import PATIENCE, Process
 
-from mfpcc_experiments.recording import read
+from mfpcc_experiments.bags.recording import read
 
 ROS2 = shutil.which("ros2")
 PERIODS = 2000

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from harness import PATIENCE, Process
 
-from mfpcc_experiments.recording import Recording, read
+from mfpcc_experiments.bags.recording import Recording, read
 
 Start = Callable[..., Process]
 

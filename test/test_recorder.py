@@ -9,8 +9,7 @@ import pytest
 import rclpy
 from mfpcc_msgs.msg import LutDiagnostics, PhaseFeedback
 
-from mfpcc_experiments import record
-from mfpcc_experiments.record import Recorder
+from mfpcc_experiments.graph.recorder import Recorder, _arguments
 from pwm_node.wire import Wire
 
 
@@ -66,5 +65,5 @@ def test_gaps_of_a_decimated_topic(recorder: Recorder, periods: list[int], missi
 
 def test_a_recorder_is_told_where_to(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        record._arguments([])
+        _arguments([])
     assert "give --out, --black-box, or both" in capsys.readouterr().err

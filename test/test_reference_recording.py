@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from mfpcc_controller.parameters import SCHEMES
-from mfpcc_experiments import metrics, recording, replay
-from mfpcc_experiments.recording import Recording
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.measuring import metrics, replay
 
 FOLDER = Path(__file__).resolve().parent.parent / "bags" / "reference"
 ANEW = "mfpcc run bags/reference.yaml --engine inprocess --out bags/reference --force"

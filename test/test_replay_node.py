@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from harness import Process
 
-from mfpcc_experiments import recording, run
-from mfpcc_experiments.replay_node import write_parameters
-from mfpcc_experiments.scenario import Scenario
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.graph.replayer import write_parameters
+from mfpcc_experiments.running import run
+from mfpcc_experiments.running.scenario import Scenario
 
 Start = Callable[..., Process]
 

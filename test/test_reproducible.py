@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import Reader
 
-from mfpcc_experiments import recording, replay, run
-from mfpcc_experiments.scenario import Scenario
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.measuring import replay
+from mfpcc_experiments.running import run
+from mfpcc_experiments.running.scenario import Scenario
 
 TOPICS = ("/phase_feedback", "/duty_command", "/lut_diagnostics", "/drive_state")
 

@@ -11,7 +11,7 @@ import pytest
 from harness import Process
 from outside import Outside
 
-from mfpcc_experiments import recording
+from mfpcc_experiments.bags import recording
 
 STOP = 3.0  # s
 

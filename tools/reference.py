@@ -31,13 +31,14 @@ from mfpcc_controller import protection as controller_protection
 from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments import recording, scenario
-from mfpcc_experiments.bag import BagWriter
-from mfpcc_experiments.black_box import DIRECTORY, PARAMETER, BlackBoxNode
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.bags.bag import BagWriter
 from mfpcc_experiments.cli import cli
-from mfpcc_experiments.record import Recorder
-from mfpcc_experiments.replay_node import TABLE as REPLAYER
-from mfpcc_experiments.replay_node import Replayer
+from mfpcc_experiments.graph.black_box import DIRECTORY, PARAMETER, BlackBoxNode
+from mfpcc_experiments.graph.recorder import Recorder
+from mfpcc_experiments.graph.replayer import TABLE as REPLAYER
+from mfpcc_experiments.graph.replayer import Replayer
+from mfpcc_experiments.running import scenario
 from pmsm_sim import motor
 from pmsm_sim import protection as plant_protection
 from pmsm_sim.injection import MAGNITUDES, UNITS

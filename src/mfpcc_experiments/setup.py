@@ -8,7 +8,7 @@ setup(
     name=package,
     version="0.1.0",
     packages=find_packages(include=[package, f"{package}.*"]),
-    package_data={package: ["py.typed", "templates/*"]},
+    package_data={package: ["py.typed", "reporting/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),
@@ -22,9 +22,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "drive = mfpcc_experiments.drive:main",
-            "record = mfpcc_experiments.record:main",
-            "replay = mfpcc_experiments.replay_node:main",
+            "drive = mfpcc_experiments.graph.drive:main",
+            "record = mfpcc_experiments.graph.recorder:main",
+            "replay = mfpcc_experiments.graph.replayer:main",
         ],
     },
 )

@@ -14,7 +14,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch_ros.actions import Node
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.black_box import DIRECTORY, PARAMETER
+from mfpcc_experiments.graph.black_box import DIRECTORY, PARAMETER
 from pmsm_sim.parameters import TABLE as PLANT
 
 #: Parameters that are arguments, too. All the others can be set by a parameter file.

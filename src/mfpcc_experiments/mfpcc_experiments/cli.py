@@ -20,24 +20,11 @@ from typing import Any, NoReturn
 import click
 
 from mfpcc_experiments import verbs
+from pwm_node.errors import ForPeople
 from pwm_node.names import unknown
 
 PROGRAM = "mfpcc"
 
-# Errors whose text is written for the user. They are known by name, since importing the modules
-# they come from takes longer than most commands.
-_FOR_PEOPLE = {
-    "mfpcc_experiments.bag.BagError",
-    "mfpcc_experiments.drive.DriveError",
-    "mfpcc_experiments.metrics.MetricsError",
-    "mfpcc_experiments.replay.ReplayError",
-    "mfpcc_experiments.result_folder.ResultFolderError",
-    "pmsm_sim.plant.PlantError",
-    "pwm_node.only_one.TakenError",
-    "pwm_node.parameters.ParameterError",
-    "pwm_node.schedule.ScheduleError",
-    "pwm_node.yaml_files.FileError",
-}
 # What is missing when nobody has sourced the workspace.
 _FROM_ROS = {"ament_index_python", "mfpcc_msgs", "rclpy", "rpyutils", "rosidl_runtime_py"}
 
@@ -146,8 +133,7 @@ def _one_line(text: str) -> str:
 
 def _explanation(error: Exception) -> str | None:
     """What to tell the user of an error that is no mistake of ours, else None."""
-    names = {f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__}
-    if names & _FOR_PEOPLE:
+    if isinstance(error, ForPeople):
         return str(error)
     if isinstance(error, ModuleNotFoundError) and (error.name or "").split(".")[0] in _FROM_ROS:
         return f"there is no Python module '{error.name}' here: 'source setup.bash' first"

@@ -22,11 +22,11 @@ from matplotlib.figure import Figure
 from mfpcc_controller.drive import Controller
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.closed_loop import Run, run
-from mfpcc_experiments.engine import step_time
-from mfpcc_experiments.figures import REFERENCE, STYLE
-from mfpcc_experiments.happened import scheme_title
-from mfpcc_experiments.measured import COLOURS
+from mfpcc_experiments.measuring.happened import scheme_title
+from mfpcc_experiments.measuring.measured import COLOURS
+from mfpcc_experiments.reporting.figures import REFERENCE, STYLE
+from mfpcc_experiments.running.closed_loop import Run, run
+from mfpcc_experiments.running.engine import step_time
 
 ENCODER = {"sensor.encoder_lines": 2500}
 LOAD_STEP = ("0.2 load_torque 5.0",)

@@ -15,7 +15,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mfpcc_experiments import bag, recording, recover
+from mfpcc_experiments.bags import bag, recording, recover
 
 TOPICS = {"/" + name: type_name for name, type_name in bag.LOOP_TOPICS.items()}
 
@@ -139,7 +139,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 import conftest
-from mfpcc_experiments.bag import BagError, BagWriter
+from mfpcc_experiments.bags.bag import BagError, BagWriter
 bag = BagWriter(Path(sys.argv[2]), config=conftest.CONFIG, oversampling=4)
 try:
     for n, message in enumerate(conftest.messages(10**6, oversampling=4)):

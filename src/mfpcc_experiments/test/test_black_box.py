@@ -13,8 +13,8 @@ import yaml
 from mfpcc_msgs.msg import DriveFault, DriveStatus
 from rclpy.serialization import serialize_message
 
-from mfpcc_experiments import bag, recording
-from mfpcc_experiments.black_box import KEPT, LIST, PAGE, Archive, BlackBox
+from mfpcc_experiments.bags import bag, recording
+from mfpcc_experiments.graph.black_box import KEPT, LIST, PAGE, Archive, BlackBox
 
 
 class Host:

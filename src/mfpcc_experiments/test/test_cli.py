@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import json
 import subprocess
 import sys
@@ -13,9 +14,8 @@ from typing import Any
 
 import pytest
 
-import mfpcc_experiments
 from mfpcc_experiments import cli
-from mfpcc_experiments.result_folder import ResultFolderError, result_folder
+from mfpcc_experiments.files import ResultFolderError, result_folder
 
 
 class Fake:
@@ -58,16 +58,18 @@ def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Fake:
     """The engines and the comparison replaced, in an empty working directory."""
     stand_in = Fake()
     modules = {
-        "run": SimpleNamespace(run=stand_in.run),
-        "compare": SimpleNamespace(
+        "running.run": SimpleNamespace(run=stand_in.run),
+        "reporting.compare": SimpleNamespace(
             compare=stand_in.compare,
             print_table=lambda rows: print("table:", *(row["scheme"] for row in rows)),
         ),
-        "recover": SimpleNamespace(recover=lambda path: f"{path}: 10 messages saved"),
+        "bags.recover": SimpleNamespace(recover=lambda path: f"{path}: 10 messages saved"),
     }
     for name, module in modules.items():
         monkeypatch.setitem(sys.modules, f"mfpcc_experiments.{name}", module)  # type: ignore[arg-type]
-        monkeypatch.setattr(mfpcc_experiments, name, module, raising=False)
+        room, _, leaf = name.partition(".")
+        package = importlib.import_module(f"mfpcc_experiments.{room}")
+        monkeypatch.setattr(package, leaf, module, raising=False)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mfpcc_experiments import bag, compare, happened, measured, metrics, recording, report
+from mfpcc_experiments.bags import bag, recording
+from mfpcc_experiments.measuring import happened, measured, metrics
+from mfpcc_experiments.reporting import compare, report
 
 CONTRACT = {
     "experiment": None,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mfpcc_experiments import closed_loop, faults
+from mfpcc_experiments.proofs import faults
+from mfpcc_experiments.running import closed_loop
 from pmsm_sim.injection import UNITS
 
 

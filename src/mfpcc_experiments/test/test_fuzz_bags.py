@@ -14,7 +14,9 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mfpcc_experiments import bag, cli, mcap_file, metrics, recording, recover
+from mfpcc_experiments import cli
+from mfpcc_experiments.bags import bag, mcap_file, recording, recover
+from mfpcc_experiments.measuring import metrics
 
 #: More than the little bag of these tests needs by far (bytes).
 MEMORY = 16 << 20

@@ -19,7 +19,7 @@ import yaml
 from mfpcc_controller import motor as nominal_motor
 from mfpcc_controller.drive import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments import scenario
+from mfpcc_experiments.running import scenario
 from pmsm_sim import flux_map, motor
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mfpcc_experiments import metrics
+from mfpcc_experiments.measuring import metrics
 
 T_S = 1e-4
 

@@ -16,7 +16,7 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "own_scheme.md"
 RUN = """
 import json, sys
 import numpy as np
-from mfpcc_experiments.closed_loop import run
+from mfpcc_experiments.running.closed_loop import run
 
 r = run("slow_deadbeat", 0.3, schedule=["0.1 load_torque 5.0"])
 switched = run("mls_mfpcc", 0.3, schedule=["0.2 scheme slow_deadbeat"])

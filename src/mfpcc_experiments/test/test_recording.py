@@ -9,7 +9,8 @@ import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mfpcc_experiments import bag, metrics, recording, recover
+from mfpcc_experiments.bags import bag, recording, recover
+from mfpcc_experiments.measuring import metrics
 
 
 def test_arrays_hold_what_was_written(make_bag):

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from mfpcc_experiments import cli, reproduce, run, scenario
-from mfpcc_experiments.reproduce import CONFIRMED, DIFFERS, NOT_CONFIRMED, Statement
+from mfpcc_experiments import cli
+from mfpcc_experiments.paper import reproduce
+from mfpcc_experiments.paper.reproduce import CONFIRMED, DIFFERS, NOT_CONFIRMED, Statement
+from mfpcc_experiments.running import run, scenario
 from pwm_node import yaml_files
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from mfpcc_controller import motor as nominal_motor
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments import scenario
+from mfpcc_experiments.running import scenario
 from pmsm_sim import motor
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import schedule, yaml_files

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from mfpcc_experiments import cli, validation
+from mfpcc_experiments import cli
+from mfpcc_experiments.proofs import validation
 
 
 def test_all_limits_are_kept_and_all_figures_drawn(tmp_path, capsys):

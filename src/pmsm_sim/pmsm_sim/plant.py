@@ -57,6 +57,7 @@ from pmsm_sim.records import (
 )
 from pmsm_sim.sensors import sample, wrapped
 from pwm_node.compiled import kernel
+from pwm_node.errors import ForPeople
 
 # Answers of `latch`
 ACCEPTED = 0
@@ -75,7 +76,7 @@ _BRAKE = LOAD_KINDS.index("brake")
 _BEYOND = 1e9
 
 
-class PlantError(ValueError):
+class PlantError(ForPeople, ValueError):
     """A simulation that has run away; no sample of it leaves the plant."""
 
 

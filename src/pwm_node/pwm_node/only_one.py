@@ -12,8 +12,10 @@ import os
 import tempfile
 from pathlib import Path
 
+from pwm_node.errors import ForPeople
 
-class TakenError(ValueError):
+
+class TakenError(ForPeople, ValueError):
     """A node of this name is running; the text says where, and what to do."""
 
 

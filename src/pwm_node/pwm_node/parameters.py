@@ -15,6 +15,7 @@ from typing import Any, Union
 import yaml
 
 from pwm_node import names
+from pwm_node.errors import ForPeople
 
 Value = Union[bool, int, float, str, "list[str]", "list[float]"]
 
@@ -28,7 +29,7 @@ _KIND_NAMES = {
 }
 
 
-class ParameterError(ValueError):
+class ParameterError(ForPeople, ValueError):
     """A parameter value that cannot be accepted; `reason` says why, for a person to read."""
 
     def __init__(self, reason: str) -> None:

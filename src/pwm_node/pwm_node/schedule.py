@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
+from pwm_node.errors import ForPeople
 from pwm_node.parameters import ParameterError, Table, Value
 
 Changes = dict[str, Value]
 
 
-class ScheduleError(ValueError):
+class ScheduleError(ForPeople, ValueError):
     """An entry that cannot be understood or accepted; the text says which and why."""
 
 

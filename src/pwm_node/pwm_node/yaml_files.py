@@ -14,6 +14,7 @@ import pydantic
 import yaml
 
 from pwm_node import names
+from pwm_node.errors import ForPeople
 
 MAX_BYTES = 1 << 20
 CONFIG_PACKAGE = "mfpcc_config"
@@ -24,7 +25,7 @@ _MOST_ERRORS = 10
 Model = TypeVar("Model", bound=pydantic.BaseModel)
 
 
-class FileError(ValueError):
+class FileError(ForPeople, ValueError):
     """A file that cannot be read as what it should be; the text says where, what and why."""
 
 

@@ -27,9 +27,9 @@ def command(bags: tuple[Path, ...], out: Path, force: bool) -> None:
     The exit code is 3 where a recording is of a drive that did not do what was asked for (a trip,
     a fallback, gates off or messages missing in the window): the notes below the table say what.
     """
-    from mfpcc_experiments import compare
+    from mfpcc_experiments.files import result_folder
     from mfpcc_experiments.progress import progress_bar
-    from mfpcc_experiments.result_folder import result_folder
+    from mfpcc_experiments.reporting import compare
 
     recordings = [recording for bag in bags for recording in _recordings(bag)]
     with result_folder(out, force=force) as folder:
@@ -40,7 +40,8 @@ def command(bags: tuple[Path, ...], out: Path, force: bool) -> None:
 
 def conclude(rows: list[dict[str, Any]], out: Path, *, strict: bool = False) -> None:
     """Print the table with its notes, and where the report is; end with the code of the notes."""
-    from mfpcc_experiments import compare, notes
+    from mfpcc_experiments import notes
+    from mfpcc_experiments.reporting import compare
 
     compare.print_table(rows)
     click.echo(f"report: {out / 'report.html'}")

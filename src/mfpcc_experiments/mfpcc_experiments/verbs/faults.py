@@ -10,7 +10,7 @@ import click
 from mfpcc_experiments.verbs.run import ENGINES
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.faults import Verdict
+    from mfpcc_experiments.proofs.faults import Verdict
 
 
 @click.command()
@@ -30,8 +30,8 @@ def command(unit: str, engine: str, brief: bool, no_control: bool) -> int:
     Exit code 1 if a case was not survived, or if the negative control (the same faults with the
     protection switched off) shows no damage.
     """
-    from mfpcc_experiments import faults
     from mfpcc_experiments.progress import progress_bar
+    from mfpcc_experiments.proofs import faults
     from pmsm_sim.injection import UNITS
     from pwm_node.names import unknown
 

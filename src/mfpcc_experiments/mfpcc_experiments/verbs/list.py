@@ -12,7 +12,7 @@ import click
 def command() -> None:
     """Show the experiments, schemes and motors there are."""
     from mfpcc_controller.parameters import TABLE
-    from mfpcc_experiments import scenario
+    from mfpcc_experiments.running import scenario
     from pmsm_sim import motor
     from pwm_node import yaml_files
 

@@ -11,6 +11,6 @@ import click
 @click.argument("bag", type=click.Path(path_type=Path))
 def command(bag: Path) -> None:
     """Repair BAG, a recording whose writer was killed before it could finish it."""
-    from mfpcc_experiments import recover
+    from mfpcc_experiments.bags import recover
 
     click.echo(recover.recover(bag))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.replay import Replay, Samples
+    from mfpcc_experiments.measuring.replay import Replay, Samples
     from pwm_node.parameters import Table
 
 
@@ -48,10 +48,12 @@ def command(
     there is no ripple and no THD to be told; for those, run the experiment.
     """
     from mfpcc_controller.parameters import SCHEMES, TABLE
-    from mfpcc_experiments import recording, replay, replay_figure
-    from mfpcc_experiments.compare import write_whole
+    from mfpcc_experiments.bags import recording
+    from mfpcc_experiments.files import result_folder
+    from mfpcc_experiments.measuring import replay
     from mfpcc_experiments.progress import progress_bar
-    from mfpcc_experiments.result_folder import result_folder
+    from mfpcc_experiments.reporting import replay_figure
+    from mfpcc_experiments.reporting.compare import write_whole
     from pwm_node import compiled
     from pwm_node.parameters import ParameterError
 
@@ -101,7 +103,7 @@ def _motor(values: dict[str, Any]) -> dict[str, Any]:
 
 def _verify(samples: Samples, progress: Callable[[float], None]) -> tuple[str, Exception | None]:
     """Ask the recording's own scheme; returns what to say of it, and the error where it fails."""
-    from mfpcc_experiments import replay
+    from mfpcc_experiments.measuring import replay
 
     reason = samples.why_not_verifiable
     if reason:
@@ -121,7 +123,7 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
     from rich.console import Console
     from rich.table import Table as Grid
 
-    from mfpcc_experiments import replay
+    from mfpcc_experiments.measuring import replay
 
     def number(value: float | None, digits: int = 3) -> str:
         return "–" if value is None else f"{value:.{digits}f}"

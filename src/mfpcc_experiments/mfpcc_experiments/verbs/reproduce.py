@@ -11,7 +11,7 @@ import click
 from mfpcc_experiments.verbs.run import ENGINES
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.reproduce import Statement
+    from mfpcc_experiments.paper.reproduce import Statement
 
 
 @click.command(short_help="Every figure and number of the paper, ours beside the published.")
@@ -46,8 +46,8 @@ def command(figures: tuple[str, ...], engine: str, out: Path, seed: int, force: 
     The folder then holds report.html, the figures, statements.json, metrics.json and all
     recordings. It takes a minute; with --engine ros two or three.
     """
-    from mfpcc_experiments import reproduce
-    from mfpcc_experiments.result_folder import result_folder
+    from mfpcc_experiments.files import result_folder
+    from mfpcc_experiments.paper import reproduce
     from pwm_node.names import unknown
 
     context = click.get_current_context()
@@ -69,9 +69,10 @@ def _reproduce(
     """Run, measure, draw and write, with a progress bar."""
     import json
 
-    from mfpcc_experiments import paper_figures, reproduce, reproduce_report, run, scenario
-    from mfpcc_experiments.compare import write_whole
+    from mfpcc_experiments.paper import paper_figures, reproduce, reproduce_report
     from mfpcc_experiments.progress import progress_bar
+    from mfpcc_experiments.reporting.compare import write_whole
+    from mfpcc_experiments.running import run, scenario
     from pwm_node import compiled
 
     runs, pairs = [], reproduce.plan(figures)
@@ -116,8 +117,8 @@ def _show(said: Sequence[Statement]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from mfpcc_experiments.reproduce import FITTED
-    from mfpcc_experiments.reproduce_report import counts
+    from mfpcc_experiments.paper.reproduce import FITTED
+    from mfpcc_experiments.paper.reproduce_report import counts
 
     colours = {"confirmed": "green", "differs": "yellow", "not confirmed": "red"}
     table = Table(box=None, pad_edge=False, header_style="bold", expand=True)

@@ -10,7 +10,7 @@ import click
 from mfpcc_experiments.verbs.compare import conclude
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.scenario import Scenario
+    from mfpcc_experiments.running.scenario import Scenario
 
 ENGINES = ("ros", "inprocess")
 
@@ -57,8 +57,8 @@ def command(
     missing, a pace that was not kept): the notes below the table say what.
     """
     from mfpcc_controller.parameters import SCHEMES
-    from mfpcc_experiments import scenario
-    from mfpcc_experiments.result_folder import result_folder
+    from mfpcc_experiments.files import result_folder
+    from mfpcc_experiments.running import scenario
     from pwm_node import yaml_files
     from pwm_node.names import unknown
     from pwm_node.parameters import ParameterError
@@ -96,8 +96,9 @@ def _run_and_compare(
     seed: int,
 ) -> list[dict[str, Any]]:
     """Record each scheme into `<folder>/<scheme>` and compare them, with a progress bar."""
-    from mfpcc_experiments import compare, run
     from mfpcc_experiments.progress import progress_bar
+    from mfpcc_experiments.reporting import compare
+    from mfpcc_experiments.running import run
     from pwm_node import compiled
 
     with progress_bar() as begin:

@@ -31,8 +31,8 @@ def command(out: Path, duration: float, costs: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from mfpcc_experiments import validation
     from mfpcc_experiments.progress import progress_bar
+    from mfpcc_experiments.proofs import validation
 
     out.mkdir(parents=True, exist_ok=True)
     with progress_bar() as begin:

@@ -9,9 +9,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mfpcc_experiments import metrics, notes, recording
-from mfpcc_experiments.bag import BagError
-from mfpcc_experiments.measured import Measured, labels, signals
+from mfpcc_experiments import notes
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.bags.bag import BagError
+from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring.measured import Measured, labels, signals
 
 Progress = Callable[[float], None]
 
@@ -44,7 +46,8 @@ def compare(
     BagError, MetricsError
         If a recording cannot be read or measured. Nothing is written then.
     """
-    from mfpcc_experiments import figures, report  # matplotlib takes its time to load
+    # matplotlib takes its time to load
+    from mfpcc_experiments.reporting import figures, report
 
     if not paths:
         raise BagError("no recordings to compare")

@@ -21,8 +21,8 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.compare import COLUMNS, best, text
-from mfpcc_experiments.measured import COLOURS, Measured, Signal
+from mfpcc_experiments.measuring.measured import COLOURS, Measured, Signal
+from mfpcc_experiments.reporting.compare import COLUMNS, best, text
 
 #: Values per signal up to which all are stored. Of longer signals, the extremes of equal spans are,
 #: and every value of the evaluation window.

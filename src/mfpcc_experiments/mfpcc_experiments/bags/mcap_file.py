@@ -25,7 +25,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from mfpcc_experiments.bag import MAGIC, MESSAGE_HEAD, BagError
+from mfpcc_experiments.bags.bag import MAGIC, MESSAGE_HEAD, BagError
 
 #: Largest chunk that is unpacked (bytes): a hundred times what writers make.
 MAX_CHUNK = 256 << 20

@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments import metrics, recording
-from mfpcc_experiments.happened import scheme_title
-from mfpcc_experiments.measured import Signal, signals
-from mfpcc_experiments.metrics import Window
-from mfpcc_experiments.recording import Recording
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring.happened import scheme_title
+from mfpcc_experiments.measuring.measured import Signal, signals
+from mfpcc_experiments.measuring.metrics import Window
 
 Progress = Callable[[float], None]
 
@@ -257,7 +258,7 @@ def step_times(path: Path, progress: Progress | None = None) -> dict[str, float]
         Told the share that is done, 0 to 1.
     """
     from mfpcc_controller.drive import Controller
-    from mfpcc_experiments import engine
+    from mfpcc_experiments.running import engine
 
     found = recording.read(path)
     values = found.config["parameters"]["mfpcc_controller"]

@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 from mfpcc_msgs.msg import DriveState, PhaseFeedback
 from numpy.typing import NDArray
 
-from mfpcc_experiments.engine import Engine, Trace
-from mfpcc_experiments.figures import STYLE
-from mfpcc_experiments.measured import COLOURS
+from mfpcc_experiments.measuring.measured import COLOURS
+from mfpcc_experiments.reporting.figures import STYLE
+from mfpcc_experiments.running.engine import Engine, Trace
 from pmsm_sim import flux_map
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant, advance

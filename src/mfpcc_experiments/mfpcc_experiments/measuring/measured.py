@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments import metrics
-from mfpcc_experiments.happened import scheme_title
-from mfpcc_experiments.recording import Recording
+from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring.happened import scheme_title
 
 #: Colours of Okabe and Ito, told apart by everybody, in an order that keeps their distance.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")

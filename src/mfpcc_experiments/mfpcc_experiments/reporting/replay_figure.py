@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from mfpcc_experiments.figures import REFERENCE, STYLE, format_value, limits, note
-from mfpcc_experiments.happened import scheme_title
-from mfpcc_experiments.measured import COLOURS
-from mfpcc_experiments.replay import Replay, Samples, window_rows
+from mfpcc_experiments.measuring.happened import scheme_title
+from mfpcc_experiments.measuring.measured import COLOURS
+from mfpcc_experiments.measuring.replay import Replay, Samples, window_rows
+from mfpcc_experiments.reporting.figures import REFERENCE, STYLE, format_value, limits, note
 
 #: Time shown of the duties (s): a few tens of periods, so that single ones can be seen.
 _CLOSE_UP = 4e-3

@@ -18,10 +18,9 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from mfpcc_experiments.figures import REFERENCE, STYLE, format_value, limits, note
-from mfpcc_experiments.happened import scheme_title
-from mfpcc_experiments.measured import COLOURS
-from mfpcc_experiments.reproduce import (
+from mfpcc_experiments.measuring.happened import scheme_title
+from mfpcc_experiments.measuring.measured import COLOURS
+from mfpcc_experiments.paper.reproduce import (
     FITTED,
     MISMATCHES,
     STEADY,
@@ -29,6 +28,7 @@ from mfpcc_experiments.reproduce import (
     Results,
     Run,
 )
+from mfpcc_experiments.reporting.figures import REFERENCE, STYLE, format_value, limits, note
 
 _CONDITIONS = {
     "steady_750_2": "750 r/min, 2 N m",

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mfpcc_controller.drive import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.engine import Engine
+from mfpcc_experiments.running.engine import Engine
 from pmsm_sim.injection import UNITS
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant
@@ -194,13 +194,13 @@ def judge_all(
 
     Raises
     ------
-    mfpcc_experiments.drive.DriveError
+    mfpcc_experiments.graph.drive.DriveError
         If the graph cannot be used (engine `ros`).
     """
     if engine == "inprocess":
         return list(_judged(chosen, _run_in_process, react, tell))
     # rclpy is needed for this engine only
-    from mfpcc_experiments import drive
+    from mfpcc_experiments.graph import drive
 
     with drive.composed_runs() as run:
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import click
 
+from pwm_node.errors import ForPeople
+
 #: The file that every folder of results has, and by which it is known as one.
 MARK = "metrics.json"
 
@@ -17,7 +19,7 @@ MARK = "metrics.json"
 _EMPTY_BAG = 50_000
 
 
-class ResultFolderError(ValueError):
+class ResultFolderError(ForPeople, ValueError):
     """A place where the results cannot go; the text says why and what to do."""
 
 

@@ -18,8 +18,8 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from mfpcc_experiments import mcap_file
-from mfpcc_experiments.bag import (
+from mfpcc_experiments.bags import mcap_file
+from mfpcc_experiments.bags.bag import (
     CHUNK_BYTES,
     CONFIG_RECORD,
     SUMMARY_RECORD,
@@ -29,7 +29,7 @@ from mfpcc_experiments.bag import (
     finish_bag,
     json_record,
 )
-from mfpcc_experiments.recording import bag_files
+from mfpcc_experiments.bags.recording import bag_files
 
 _OWN_RECORDS = ("rosbag2", SUMMARY_RECORD)  # written anew
 

@@ -10,10 +10,8 @@ from typing import Any
 
 import jinja2
 
-from mfpcc_experiments import scenario
-from mfpcc_experiments.compare import COLUMNS, text
-from mfpcc_experiments.happened import scheme_title
-from mfpcc_experiments.reproduce import (
+from mfpcc_experiments.measuring.happened import scheme_title
+from mfpcc_experiments.paper.reproduce import (
     CONFIRMED,
     DIFFERS,
     FITTED,
@@ -22,6 +20,8 @@ from mfpcc_experiments.reproduce import (
     Results,
     Statement,
 )
+from mfpcc_experiments.reporting.compare import COLUMNS, text
+from mfpcc_experiments.running import scenario
 
 _RANK = (CONFIRMED, DIFFERS, NOT_CONFIRMED)
 
@@ -55,7 +55,7 @@ def render(
     str
         A complete HTML page.
     """
-    templates = Path(__file__).parent / "templates"
+    templates = Path(__file__).parents[1] / "reporting" / "templates"
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(templates),
         autoescape=True,

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from mfpcc_experiments import metrics
-from mfpcc_experiments.measured import COLOURS, Measured
+from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring.measured import COLOURS, Measured
 
 #: Phases a, b, c, and references.
 PHASES = (COLOURS[0], COLOURS[1], COLOURS[2])

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from mfpcc_controller.drive import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments import metrics
-from mfpcc_experiments.engine import Engine
+from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.running.engine import Engine
 from pmsm_sim.parameters import TABLE as PLANT
 
 #: Of the three phase sensors, so that i_d and i_q have 20 mA rms (A)

@@ -31,15 +31,16 @@ from rclpy.task import Future
 from mfpcc_controller.drive import Controller
 from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments import black_box
-from mfpcc_experiments.bag import BagWriter
-from mfpcc_experiments.black_box import BlackBoxNode
+from mfpcc_experiments.bags.bag import BagWriter
+from mfpcc_experiments.graph import black_box
+from mfpcc_experiments.graph.black_box import BlackBoxNode
+from mfpcc_experiments.graph.recorder import Recorder, sink
 from mfpcc_experiments.progress import Tell
-from mfpcc_experiments.record import Recorder, sink
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant
 from pwm_node import spin
+from pwm_node.errors import ForPeople
 from pwm_node.node import PwmNode
 
 _PROGRESS_EVERY = 0.1  # s
@@ -50,7 +51,7 @@ _START_WITHIN = 300.0  # s
 _STOP_WITHIN = 10.0  # s
 
 
-class DriveError(Exception):
+class DriveError(ForPeople):
     """The graph did not do what it should; the text says what happened and what to do."""
 
 

@@ -30,11 +30,12 @@ from numpy.typing import NDArray
 from mfpcc_controller.drive import Controller, answer
 from mfpcc_controller.parameters import TABLE
 from mfpcc_controller.vectors import LEGS, set_output
-from mfpcc_experiments import metrics
-from mfpcc_experiments.happened import rows_of
-from mfpcc_experiments.recording import Recording
+from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring.happened import rows_of
 from pwm_node import schedule
 from pwm_node.compiled import kernel
+from pwm_node.errors import ForPeople
 from pwm_node.parameters import ParameterError
 from pwm_node.wire import fixed_dtype
 
@@ -56,7 +57,7 @@ _UNPROTECTED = {
 _COMMAND_FIELDS = ("duty", "vectors", "dwell", "enable")
 
 
-class ReplayError(Exception):
+class ReplayError(ForPeople):
     """A recording that cannot be replayed, or is not reproduced; the text says why."""
 
 

@@ -55,6 +55,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from pwm_node.errors import ForPeople
+
 MAGIC = b"\x89MCAP0\r\n"
 
 #: Topics of the control loop (relative names) and their types.
@@ -82,7 +84,7 @@ _CHUNK_HEAD = struct.Struct("<BQQQQI")
 _pack_message = MESSAGE_HEAD.pack
 
 
-class BagError(Exception):
+class BagError(ForPeople):
     """A recording that cannot be written or read; the text says which, why and what to do."""
 
 

@@ -36,16 +36,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfpcc_experiments.notes import warning
+from pwm_node.errors import ForPeople
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.recording import Recording
+    from mfpcc_experiments.bags.recording import Recording
 
 Array = NDArray[np.float64]
 
 TWO_PI = 2.0 * math.pi
 
 
-class MetricsError(Exception):
+class MetricsError(ForPeople):
     """The recording does not hold what the metrics need; the text says what to do."""
 
 

@@ -13,10 +13,10 @@ from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedbac
 from numpy.typing import NDArray
 
 from mfpcc_controller.drive import Controller
-from mfpcc_experiments.bag import BagWriter
-from mfpcc_experiments.engine import Engine, Trace, step_time
+from mfpcc_experiments.bags.bag import BagWriter
 from mfpcc_experiments.progress import Tell
-from mfpcc_experiments.scenario import Scenario
+from mfpcc_experiments.running.engine import Engine, Trace, step_time
+from mfpcc_experiments.running.scenario import Scenario
 from pmsm_sim import motor
 from pwm_node.wire import Wire
 
@@ -84,9 +84,9 @@ def run(
 
     Raises
     ------
-    mfpcc_experiments.bag.BagError
+    mfpcc_experiments.bags.bag.BagError
         If the recording cannot be written.
-    mfpcc_experiments.drive.DriveError
+    mfpcc_experiments.graph.drive.DriveError
         If the graph does not run to the end, or messages are lost (engine `ros`).
     """
     config = configuration(scenario, scheme, engine, seed)
@@ -94,7 +94,7 @@ def run(
         _run_inprocess(config, folder / scheme, scenario.periods, progress)
         return
     # rclpy is needed for this engine only
-    from mfpcc_experiments import drive
+    from mfpcc_experiments.graph import drive
 
     record = drive.record_separate if separate else drive.record_composed
     record(config, folder / scheme, scenario.periods, progress)

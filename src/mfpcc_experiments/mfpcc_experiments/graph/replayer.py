@@ -28,10 +28,10 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.timer import Timer
 
-from mfpcc_experiments import recording
-from mfpcc_experiments.bag import BagError
-from mfpcc_experiments.compare import write_whole
-from mfpcc_experiments.recording import Recording
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.bags.bag import BagError
+from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.reporting.compare import write_whole
 from pwm_node import spin
 from pwm_node.diagnostics import Part
 from pwm_node.loop_topics import LoopPublisher

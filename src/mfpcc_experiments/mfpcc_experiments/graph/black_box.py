@@ -40,8 +40,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.timer import Timer
 
-from mfpcc_experiments.bag import LOOP_TOPICS, BagError, BagWriter
-from mfpcc_experiments.run import versions
+from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
+from mfpcc_experiments.running.run import versions
 from pmsm_sim import motor
 from pwm_node.yaml_files import FileError
 

@@ -32,8 +32,8 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.bag import LOOP_TOPICS, BagError, BagWriter
-from mfpcc_experiments.black_box import BlackBox
+from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
+from mfpcc_experiments.graph.black_box import BlackBox
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import ros_parameters, spin
 

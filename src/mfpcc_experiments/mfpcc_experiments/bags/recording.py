@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments import mcap_file
-from mfpcc_experiments.bag import (
+from mfpcc_experiments.bags import mcap_file
+from mfpcc_experiments.bags.bag import (
     CONFIG_RECORD,
     LOOP_TOPICS,
     SUMMARY_RECORD,

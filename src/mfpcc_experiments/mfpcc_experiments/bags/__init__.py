@@ -1,0 +1,1 @@
+"""Recordings on disk and as arrays: writing, reading, checking and repairing bags."""

@@ -1,0 +1,1 @@
+"""From arrays to numbers: windows, metrics, and replay of recorded samples."""

@@ -1,0 +1,1 @@
+"""The figures and statements of the paper beside ours: ``mfpcc reproduce``."""

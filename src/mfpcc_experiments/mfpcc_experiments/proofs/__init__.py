@@ -1,0 +1,1 @@
+"""Proofs of the simulated drive and of its behaviour under faults."""

@@ -1,0 +1,1 @@
+"""From numbers to pages: the table, the figures and the report of a comparison."""
