@@ -17,7 +17,7 @@ from typing import Any
 NOT_AS_ASKED = 3
 
 
-class Severity(enum.StrEnum):
+class Severity(str, enum.Enum):
     """How much a note matters."""
 
     #: To be known in order to read the figures; all went as it was asked for.

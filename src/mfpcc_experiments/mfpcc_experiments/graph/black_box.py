@@ -41,7 +41,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.timer import Timer
 
 from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
-from mfpcc_experiments.running.run import versions
+from mfpcc_experiments.bags.provenance import versions
 from pmsm_sim import motor
 from pwm_node.yaml_files import FileError
 

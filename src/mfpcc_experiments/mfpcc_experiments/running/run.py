@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import platform
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,22 +12,12 @@ from numpy.typing import NDArray
 
 from mfpcc_controller.drive import Controller
 from mfpcc_experiments.bags.bag import BagWriter
+from mfpcc_experiments.bags.provenance import versions
 from mfpcc_experiments.progress import Tell
 from mfpcc_experiments.running.engine import Engine, Trace, step_time
 from mfpcc_experiments.running.scenario import Scenario
 from pmsm_sim import motor
 from pwm_node.wire import Wire
-
-# Distributions whose version can change a result.
-_DISTRIBUTIONS = (
-    "pmsm_sim",
-    "mfpcc_controller",
-    "mfpcc_experiments",
-    "pwm_node",
-    "numpy",
-    "numba",
-    "ros-rclpy",
-)
 
 
 def configuration(scenario: Scenario, scheme: str, engine: str, seed: int) -> dict[str, Any]:
@@ -187,15 +175,3 @@ def _with_scheme(scheme: str) -> Wire:
     wire = Wire(LutDiagnostics)
     wire.set_string("scheme", scheme)
     return wire
-
-
-def versions() -> dict[str, str]:
-    """Versions of what can change a result: Python and distributions."""
-    found = {"python": platform.python_version()}
-    for name in _DISTRIBUTIONS:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            # a plain ROS installation does not know all of them by these names
-            continue
-    return found
