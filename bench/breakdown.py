@@ -17,7 +17,7 @@ import drives
 from figures import Figure, figure
 from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
 
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_controller.node import MfpccController
 from mfpcc_experiments.bags.bag import BagWriter
 from mfpcc_experiments.graph.recorder import sink

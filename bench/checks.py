@@ -20,7 +20,7 @@ _PERIODS = 10_000
 
 @kernel
 def _controller(cfg_, mem_, feedback):
-    """Judge each sample, and the drive by it, as `drive.sample` does in each period."""
+    """Judge each sample, and the drive by it, as `controller.sample` does in each period."""
     cfg, mem = cfg_[0], mem_[0]
     allowed = 0
     for k in range(feedback.shape[0]):

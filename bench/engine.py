@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from figures import Figure, figure, interleaved
 
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_experiments.running.engine import Engine, step_time
 from mfpcc_experiments.running.scenario import Scenario
 from pwm_node import yaml_files

@@ -10,6 +10,8 @@ from its mean, as the map of `mls_mfpcc` is to that of the voltage.
 
 from __future__ import annotations
 
+import numpy as np
+
 from mfpcc_controller.vectors import SIN_60, scaled, square
 from pwm_node.compiled import kernel
 
@@ -26,6 +28,16 @@ _FLOOR = 0.01
 # Largest voltage, over u_dc
 _MOST = 0.1
 
+MEMORY = np.dtype(
+    [
+        ("volts", np.float64),  # lost in each leg (V)
+        ("effect", np.complex128),  # of 1 V (A, dq), its mean and mean square deviation
+        ("mean", np.complex128),
+        ("variance", np.float64),
+    ],
+    align=True,
+)
+
 
 @kernel
 def signs(cfg, i_ab):
@@ -40,10 +52,11 @@ def signs(cfg, i_ab):
 
 
 @kernel
-def learn(cfg, drop, e, u_dc):
+def learn(drop, e, u_dc, gamma):
     """Correct V by the part of the error e (A) that moves with `drop.effect`.
 
-    `drop` is a `DROP_MEMORY`; its effect is that of 1 V in the period of the error.
+    `drop` is a `MEMORY`; its effect is that of 1 V in the period of the error. `gamma` is the share
+    of a period in the memory of the means.
     """
     moving = drop.effect - drop.mean
     moving_sq = square(moving)
@@ -51,5 +64,5 @@ def learn(cfg, drop, e, u_dc):
     if scale > 0.0:
         drop.volts += _RATE * (e.real * moving.real + e.imag * moving.imag) / scale
         drop.volts = min(max(drop.volts, 0.0), _MOST * u_dc)
-    drop.mean += scaled(cfg.mls_gamma, moving)
-    drop.variance += cfg.mls_gamma * (moving_sq - drop.variance)
+    drop.mean += scaled(gamma, moving)
+    drop.variance += gamma * (moving_sq - drop.variance)

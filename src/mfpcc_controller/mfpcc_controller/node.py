@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.timer import Timer
 
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE
 from pwm_node import compiled, spin
 from pwm_node.diagnostics import Level, Part

@@ -5,20 +5,11 @@ from __future__ import annotations
 import importlib.metadata
 from collections.abc import Mapping
 
+from mfpcc_controller import schemes
 from pwm_node.parameters import Parameter, Table, Value
 
-#: Built-in schemes; the position is the number the kernels know them by.
-SCHEMES = (
-    "mls_mfpcc",
-    "mfpcc",
-    "mbpcc",
-    "mbpcc_single_vector",
-    "neso_mfpcc",
-    "pi_foc",
-    "ultra_local_eso",
-    "ultra_local_smo",
-    "mfpcc_two_vector",
-)
+#: Names of the built-in schemes
+SCHEMES = schemes.NAMES
 
 #: Entry points of schemes that other packages offer, by name; a built-in name stays built in.
 PLUG_INS = {
@@ -27,10 +18,6 @@ PLUG_INS = {
     if point.name not in SCHEMES
 }
 
-#: How `mfpcc` keeps its table
-MFPCC_UPDATES = ("linear", "last", "last_refresh")
-
-MLS_STARTS = ("model", "empty")
 SECTOR_SEARCHES = ("dwell", "ranking")
 OVERMODULATIONS = ("scale", "project")
 CONTROL_MODES = ("speed", "current")
@@ -38,12 +25,8 @@ CONTROL_MODES = ("speed", "current")
 
 def _check(values: Mapping[str, Value]) -> str | None:
     """Rules across several parameters."""
-    low, high = values["mls.eta_min"], values["mls.eta_max"]
-    if low > high:  # type: ignore[operator]
-        return f"'mls.eta_min' = {low} must not exceed 'mls.eta_max' = {high}"
-    if values["mls.beta"] == 1.0 and values["mls.window"] == 0:
-        return "'mls.window' = 0 (not limited) needs 'mls.beta' below 1: something has to end it"
-    return None
+    reasons = (scheme.check(values) for scheme in schemes.BUILT_IN)
+    return next((reason for reason in reasons if reason), None)
 
 
 TABLE = Table(
@@ -163,127 +146,7 @@ TABLE = Table(
             "voltage hexagon nearest to the wish",
             choices=OVERMODULATIONS,
         ),
-        Parameter(
-            "mls.start",
-            "model",
-            "What the table of mls_mfpcc holds at first: the model's mean inductance, or nothing, "
-            "which is then measured by a few short pulses",
-            choices=MLS_STARTS,
-        ),
-        Parameter(
-            "mls.window",
-            0,
-            "Samples in the moving-least-squares window; 0: all, the forgetting factor alone "
-            "limits it",
-            minimum=0,
-            maximum=32,
-        ),
-        Parameter("mls.beta", 0.8, "Forgetting factor of the window", minimum=0.0, maximum=1.0),
-        Parameter("mls.eta_min", 0.02, "Learning rate at small errors", minimum=0.0, maximum=1.0),
-        Parameter("mls.eta_max", 0.5, "Learning rate at large errors", minimum=0.0, maximum=1.0),
-        Parameter(
-            "mls.e_0",
-            0.0,
-            "Error at which the learning rate is halfway from small to large; 0: 2.5 % of the "
-            "motor's current limit",
-            unit="A",
-            minimum=0.0,
-            maximum=1e3,
-        ),
-        Parameter(
-            "mls.g_max",
-            0.0,
-            "Largest change of a gradient in one period; 0: 2.5 % of the motor's current limit",
-            unit="A",
-            minimum=0.0,
-            maximum=1e3,
-        ),
-        Parameter(
-            "mls.map_rate",
-            0.005,
-            "Rate at which the forced entries follow what the moving part of the voltage tells; "
-            "0: the paper's update alone",
-            minimum=0.0,
-            maximum=1.0,
-        ),
-        Parameter(
-            "mls.map_memory",
-            2e-3,
-            "Memory of the voltage's mean, from which its moving part is counted",
-            unit="s",
-            minimum=1e-3,
-            maximum=10.0,
-        ),
-        Parameter(
-            "mls.compensate_inverter",
-            False,
-            "mls_mfpcc learns what dead time and on-state voltages take from the inverter's legs, "
-            "and adds it",
-        ),
-        Parameter("mfpcc.update", "linear", "How mfpcc keeps its table", choices=MFPCC_UPDATES),
-        Parameter(
-            "mfpcc.u_min",
-            20.0,
-            "A voltage change smaller than this teaches mfpcc (linear) no gain",
-            unit="V",
-            minimum=0.0,
-            maximum=1e3,
-        ),
-        Parameter(
-            "mfpcc.refresh",
-            50,
-            "A vector not applied for so many periods is applied for one (last_refresh)",
-            minimum=7,
-            maximum=100_000,
-        ),
-        Parameter(
-            "mfpcc_two_vector.u_min",
-            50.0,
-            "A voltage change smaller than this teaches mfpcc_two_vector no gain",
-            unit="V",
-            minimum=0.0,
-            maximum=1e3,
-        ),
-        Parameter(
-            "neso.bandwidth",
-            800.0,
-            "Bandwidth of the observer of neso_mfpcc",
-            unit="rad/s",
-            minimum=1.0,
-            maximum=20_000.0,
-        ),
-        Parameter(
-            "ultra_local.bandwidth",
-            1_200.0,
-            "Bandwidth of the observer of ultra_local_eso",
-            unit="rad/s",
-            minimum=1.0,
-            maximum=20_000.0,
-        ),
-        Parameter(
-            "smo.gain",
-            2_000.0,
-            "Strength of the observer of ultra_local_smo",
-            unit="A/s",
-            minimum=1.0,
-            maximum=1e6,
-        ),
-        Parameter(
-            "smo.width",
-            1.0,
-            "Error of the observer of ultra_local_smo up to which it is linear (boundary layer)",
-            unit="A",
-            minimum=1e-3,
-            maximum=1e3,
-        ),
-        Parameter(
-            "pi.bandwidth",
-            2_000.0,
-            "Bandwidth of the current control of pi_foc",
-            unit="rad/s",
-            minimum=1.0,
-            maximum=20_000.0,
-        ),
+        *schemes.PARAMETERS,
         Parameter(
             "stop.ramp_time",
             0.5,

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from mfpcc_controller import schemes
 from mfpcc_controller.protection import N_FAULTS
-
-#: Longest limited moving-least-squares window
-WINDOW_MAX = 32
 
 CONTROL_CFG = np.dtype(
     [
-        ("scheme", np.int64),  # position in parameters.SCHEMES; beyond: a plug-in
+        ("scheme", np.int64),  # position in schemes.BUILT_IN; beyond: a plug-in
         ("fallback", np.int64),  # who takes over when it fails
         ("enable", np.bool_),  # False: gates off
         ("T_s", np.float64),  # (s)
@@ -47,34 +45,6 @@ CONTROL_CFG = np.dtype(
         # search
         ("rank_sectors", np.bool_),
         ("project", np.bool_),
-        # MLS-MFPCC
-        ("mls_empty", np.bool_),  # start with nothing in the table
-        ("mls_window", np.int64),  # 0: not limited
-        ("mls_beta", np.float64),
-        ("mls_oldest", np.float64),  # weight of the sample that leaves the window
-        ("mls_mean", np.float64),  # 1 / sum of all weights
-        ("mls_eta_max", np.float64),
-        ("mls_eta_span", np.float64),  # eta_max - eta_min
-        ("mls_e_0_sq", np.float64),  # (A^2)
-        ("mls_e_max_sq", np.float64),  # (g_max / eta_max)^2 (A^2)
-        ("mls_mu", np.float64),  # rate of learning the map
-        ("mls_mu_most", np.float64),  # while errors are large
-        ("mls_mu_span", np.float64),  # their difference
-        ("mls_gamma", np.float64),
-        ("mls_settle", np.float64),  # share of a period in the time in which mu comes and goes
-        ("mls_inverter", np.bool_),  # whether to compensate what the inverter's legs lose
-        # MFPCC
-        ("mfpcc_update", np.int64),  # position in parameters.MFPCC_UPDATES
-        ("mfpcc_u_min", np.float64),  # (V)
-        ("mfpcc_refresh", np.uint64),  # periods
-        ("two_vector_u_min", np.float64),  # (V)
-        # observers of NESO-MFPCC and of the ultra-local schemes
-        ("neso_w_o", np.float64),  # (rad/s)
-        ("ultra_w_o", np.float64),
-        ("smo_k", np.float64),  # (A/s)
-        ("smo_width", np.float64),  # (A)
-        # PI
-        ("pi_alpha", np.float64),  # (rad/s)
         # protection (see `protection`)
         ("react", np.bool_),  # whether faults disable the inverter
         ("overcurrent_sq", np.float64),  # (A^2)
@@ -94,6 +64,8 @@ CONTROL_CFG = np.dtype(
         ("stop_rate", np.float64),  # of safe stop 1 (rad/s^2)
         ("w_rest", np.float64),  # below this the drive is at rest (rad/s, electrical)
         ("i_rest_sq", np.float64),  # (A^2)
+        # schemes' own
+        *schemes.CFG_FIELDS,
     ],
     align=True,
 )
@@ -107,95 +79,6 @@ OUTPUT = np.dtype(
         ("d_b", np.float64),
         ("u", np.complex128),  # mean voltage in ab, over u_dc
         ("on", np.bool_),  # gates on
-    ],
-    align=True,
-)
-
-#: See `leg_drop`
-DROP_MEMORY = np.dtype(
-    [
-        ("volts", np.float64),  # lost in each leg (V)
-        ("effect", np.complex128),  # of 1 V (A, dq), its mean and mean square deviation
-        ("mean", np.complex128),
-        ("variance", np.float64),
-    ],
-    align=True,
-)
-
-MLS_MEMORY = np.dtype(
-    [
-        ("ready", np.bool_),  # the look-up table holds something
-        # the table: the natural entry (A per period, dq), and the forced entries as a linear map,
-        # which they are by their symmetry: answer to 1 V on the d and on the q axis (A/V, dq)
-        ("g_0", np.complex128),
-        ("m_d", np.complex128),
-        ("m_q", np.complex128),
-        ("learned_at", np.uint64),  # period of the last update
-        # weighted sums over the window, and the norms of the active vectors' (dq)
-        ("sum_0", np.complex128),
-        ("sum_a", np.complex128),
-        ("sum_b", np.complex128),
-        ("norm_a", np.float64),
-        ("norm_b", np.float64),
-        ("pair", np.int64),  # vector a of the pair that the window is for
-        ("pair_age", np.int64),  # periods since its first sample
-        # what is in a limited window
-        ("head", np.int64),
-        ("e_0", np.complex128, (WINDOW_MAX,)),
-        ("e_a", np.complex128, (WINDOW_MAX,)),
-        ("e_b", np.complex128, (WINDOW_MAX,)),
-        ("q_a", np.float64, (WINDOW_MAX,)),
-        ("q_b", np.float64, (WINDOW_MAX,)),
-        # voltage of the period that the next error is about, its mean and mean square deviation
-        ("u_dq", np.complex128),  # (V)
-        ("u_mean", np.complex128),
-        ("var_d", np.float64),  # (V^2)
-        ("var_q", np.float64),
-        ("e_mean", np.complex128),  # mean of the error (A)
-        ("rate", np.float64),  # of learning from the moving part of the voltage
-        ("begun", np.bool_),  # the natural entry is that of this run
-        # 1 / (sin(60 degrees) |u_j|), and the least variance, for the u_dc they were computed for
-        ("per_volt", np.float64),
-        ("floor", np.float64),
-        ("u_dc", np.float64),
-        ("drop", DROP_MEMORY),
-        # self-commissioning
-        ("stage", np.int64),
-        ("dwell", np.float64),
-        ("du", np.complex128, (3,)),  # voltages of the pulses (V, dq)
-        ("di", np.complex128, (3,)),  # and what the current did (A)
-    ],
-    align=True,
-)
-
-MFPCC_MEMORY = np.dtype(
-    [
-        ("ready", np.bool_),
-        ("g", np.complex128, (7,)),  # whole increments, all in dq (A per period)
-        ("gain_d", np.float64),  # (A/V)
-        ("gain_q", np.float64),
-        ("di_prev", np.complex128),  # increment of period k - 2 (A)
-        ("u_prev", np.complex128),  # voltage of period k - 2, in dq (V)
-        ("history", np.bool_),  # the two above are there
-        ("updated_at", np.uint64, (7,)),
-    ],
-    align=True,
-)
-
-#: States of an observer, per axis (dq)
-OBSERVER_MEMORY = np.dtype(
-    [
-        ("ready", np.bool_),
-        ("z_1", np.complex128),  # current at the next sample (A)
-        ("z_2", np.complex128),  # what the model does not know (A/s)
-    ],
-    align=True,
-)
-
-PI_MEMORY = np.dtype(
-    [
-        ("ready", np.bool_),
-        ("integral", np.complex128),  # (V)
     ],
     align=True,
 )
@@ -270,11 +153,7 @@ CONTROL_MEMORY = np.dtype(
         ("updated", np.uint8),  # entries updated, bit by bit
         ("bounded", np.bool_),
         # schemes' own
-        ("mls", MLS_MEMORY),
-        ("mfpcc", MFPCC_MEMORY),
-        ("neso", OBSERVER_MEMORY),
-        ("ultra", OBSERVER_MEMORY),
-        ("pi", PI_MEMORY),
+        *schemes.MEMORY_FIELDS,
     ],
     align=True,
 )

@@ -9,7 +9,7 @@ import pytest
 from mfpcc_msgs.msg import DutyCommand, LutDiagnostics, PhaseFeedback
 
 from mfpcc_controller import plug_in
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import SCHEMES, TABLE
 from mfpcc_controller.plug_in import Output, Sample, Scheme
 from pwm_node.wire import fixed_dtype
@@ -90,10 +90,13 @@ def test_a_scheme_that_gives_no_number_is_replaced_in_the_same_period(scheme):
     # whatever the scheme remembers is spoilt; one that remembers nothing cannot fail this way
     mem = bench.controller.mem
     for name in ("g_0", "m_d", "sum_a", "norm_b", "u_mean", "e_mean", "var_d"):
-        mem["mls"][name] = math.nan
-    mem["mls"]["drop"]["volts"] = math.nan
-    mem["mfpcc"]["g"] = mem["mfpcc"]["gain_d"] = mem["mfpcc"]["di_prev"] = math.nan
-    mem["neso"]["z_2"] = mem["ultra"]["z_2"] = mem["pi"]["integral"] = math.nan
+        mem["mls_mfpcc"][name] = math.nan
+    mem["mls_mfpcc"]["drop"]["volts"] = math.nan
+    for table in (mem["mfpcc"], mem["mfpcc_two_vector"]):
+        table["g"] = table["gain_d"] = table["di_prev"] = math.nan
+    for observer in ("neso_mfpcc", "ultra_local_eso", "ultra_local_smo"):
+        mem[observer]["z_2"] = math.nan
+    mem["pi_foc"]["integral"] = math.nan
     bench.show()
     assert np.all(np.isfinite(bench.cmd["duty"])) and bench.cmd["enable"][0]
     if bench.controller.fallen:
@@ -115,10 +118,10 @@ def test_without_gates_nothing_is_learned():
     bench = Bench().show(50)
     bench.controller.enabled = False
     bench.show(2)
-    table = bench.controller.mem["mls"][["g_0", "m_d", "m_q"]].copy()
+    table = bench.controller.mem["mls_mfpcc"][["g_0", "m_d", "m_q"]].copy()
     bench.show(20)
     assert not bench.cmd["enable"][0]
-    assert bench.controller.mem["mls"][["g_0", "m_d", "m_q"]] == table
+    assert bench.controller.mem["mls_mfpcc"][["g_0", "m_d", "m_q"]] == table
     assert bench.controller.mem["i_dq_ref"][0] == 0.0
     bench.controller.enabled = True
     bench.show(2)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mfpcc_msgs.msg import DutyCommand, LutDiagnostics, PhaseFeedback
 
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE
 from pwm_node.wire import fixed_dtype
 

@@ -17,7 +17,7 @@ import pytest
 import yaml
 
 from mfpcc_controller import motor as nominal_motor
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.running import scenario
 from pmsm_sim import flux_map, motor

@@ -186,7 +186,7 @@ def test_commissions_itself_from_an_empty_table(motor, rpm):
 def test_finds_both_inductances_of_a_salient_machine():
     r = run("mls_mfpcc", 0.5, motor="ipmsm", rpm=100.0, load=5.0)
     T_s, est = r.T_s, r.controller.motor
-    table = r.controller.mem["mls"][0]
+    table = r.controller.mem["mls_mfpcc"][0]
     assert table["m_d"].real == pytest.approx(T_s / est.L_d, rel=0.15)
     assert table["m_q"].imag == pytest.approx(T_s / est.L_q, rel=0.15)
 

@@ -167,19 +167,25 @@ def _digest(function: Callable[..., Any]) -> str:
     except OSError:
         parts.update(function.__code__.co_code)
     for name, value in sorted(_references(function), key=lambda item: item[0]):
-        if isinstance(value, Dispatcher):
-            value = value.py_func
-        if isinstance(value, types.FunctionType):
-            if value is not function and value.__module__.split(".")[0] not in _FOREIGN:
-                parts.update(f"{name}={_digest(value)}\n".encode())
-        elif isinstance(value, np.ndarray):
-            parts.update(f"{name}={value.dtype}{value.shape}\n".encode() + value.tobytes())
-        elif isinstance(
-            value, (bool, int, float, complex, str, bytes, tuple, np.generic, np.dtype)
-        ):
-            # The compiler freezes these into the code.
-            parts.update(f"{name}={value!r}\n".encode())
+        parts.update(_frozen(name, value, function))
     return parts.hexdigest()
+
+
+def _frozen(name: str, value: Any, user: Callable[..., Any]) -> bytes:
+    """Return what a function uses under this name, as far as the compiler puts it into the code."""
+    if isinstance(value, Dispatcher):
+        value = value.py_func
+    if isinstance(value, types.FunctionType):
+        if value is user or value.__module__.split(".")[0] in _FOREIGN:
+            return b""
+        return f"{name}={_digest(value)}\n".encode()
+    if isinstance(value, np.ndarray):
+        return f"{name}={value.dtype}{value.shape}\n".encode() + value.tobytes()
+    if isinstance(value, tuple):
+        return b"".join(_frozen(f"{name}[{n}]", item, user) for n, item in enumerate(value))
+    if isinstance(value, (bool, int, float, complex, str, bytes, np.generic, np.dtype)):
+        return f"{name}={value!r}\n".encode()
+    return b""
 
 
 def _references(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:

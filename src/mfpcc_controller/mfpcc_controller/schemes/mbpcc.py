@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mfpcc_controller import model, search
 from mfpcc_controller.diagnostics import show_gradients, show_nothing_learned
+from mfpcc_controller.schemes.built_in import BuiltIn
 from pwm_node.compiled import kernel
 
 
@@ -24,3 +25,6 @@ def show(cfg, mem, diag):
     back = mem.turn_now.conjugate()
     show_gradients(diag, model.natural(cfg, mem.w_m, mem.i_dq), G_1 * back, G_2 * back)
     show_nothing_learned(diag)
+
+
+SCHEME = BuiltIn(name="mbpcc", step=step, show=show)

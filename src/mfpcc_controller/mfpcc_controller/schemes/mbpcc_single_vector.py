@@ -9,6 +9,8 @@ beside `mbpcc`, what three vectors bring.
 from __future__ import annotations
 
 from mfpcc_controller import model, search
+from mfpcc_controller.schemes import mbpcc
+from mfpcc_controller.schemes.built_in import BuiltIn
 from mfpcc_controller.vectors import set_output
 from pwm_node.compiled import kernel
 
@@ -22,3 +24,6 @@ def step(cfg, mem):
     best = search.nearest_vector(x, G_1, G_2)
     set_output(mem.next, best, 0, 1.0 if best > 0 else 0.0, 0.0)
     mem.i_hat = i_1
+
+
+SCHEME = BuiltIn(name="mbpcc_single_vector", step=step, show=mbpcc.show)

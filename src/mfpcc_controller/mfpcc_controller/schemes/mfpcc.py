@@ -21,11 +21,14 @@ replaced by the increment just measured. Entries of vectors not applied go stale
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from mfpcc_controller import model
 from mfpcc_controller.diagnostics import show_shares
-from mfpcc_controller.parameters import MFPCC_UPDATES
+from mfpcc_controller.schemes.built_in import BuiltIn
 from mfpcc_controller.vectors import (
     ACTIVE_LENGTH,
     next_vector,
@@ -34,9 +37,62 @@ from mfpcc_controller.vectors import (
     square,
 )
 from pwm_node.compiled import kernel
+from pwm_node.parameters import Parameter
 
-_LINEAR = MFPCC_UPDATES.index("linear")
-_LAST_REFRESH = MFPCC_UPDATES.index("last_refresh")
+_UPDATES = ("linear", "last", "last_refresh")
+_LINEAR = _UPDATES.index("linear")
+_LAST_REFRESH = _UPDATES.index("last_refresh")
+
+PARAMETERS = (
+    Parameter("mfpcc.update", "linear", "How mfpcc keeps its table", choices=_UPDATES),
+    Parameter(
+        "mfpcc.u_min",
+        20.0,
+        "A voltage change smaller than this teaches mfpcc (linear) no gain",
+        unit="V",
+        minimum=0.0,
+        maximum=1e3,
+    ),
+    Parameter(
+        "mfpcc.refresh",
+        50,
+        "A vector not applied for so many periods is applied for one (last_refresh)",
+        minimum=7,
+        maximum=100_000,
+    ),
+)
+
+CFG = np.dtype(
+    [
+        ("update", np.int64),  # position in _UPDATES
+        ("u_min", np.float64),  # (V)
+        ("refresh", np.uint64),  # periods
+    ],
+    align=True,
+)
+
+#: The table
+MEMORY = np.dtype(
+    [
+        ("ready", np.bool_),
+        ("g", np.complex128, (7,)),  # whole increments, all in dq (A per period)
+        ("gain_d", np.float64),  # (A/V)
+        ("gain_q", np.float64),
+        ("di_prev", np.complex128),  # increment of period k - 2 (A)
+        ("u_prev", np.complex128),  # voltage of period k - 2, in dq (V)
+        ("history", np.bool_),  # the two above are there
+        ("updated_at", np.uint64, (7,)),
+    ],
+    align=True,
+)
+
+
+def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
+    """Take over how the table is kept."""
+    own = cfg["mfpcc"]
+    own["update"] = _UPDATES.index(values["mfpcc.update"])
+    own["u_min"] = values["mfpcc.u_min"]
+    own["refresh"] = values["mfpcc.refresh"]
 
 
 @kernel
@@ -57,21 +113,20 @@ def fill(lut, u_dc, turn, g_0, gain_d, gain_q):
 
 
 @kernel
-def initialise(cfg, mem):
+def initialise(cfg, mem, lut):
     """Entries from the controller's model, as a drive would be commissioned."""
-    lut = mem.mfpcc
     lut.gain_d, lut.gain_q = cfg.b_d, cfg.b_q
     g_0 = model.natural(cfg, mem.w_m, mem.i_dq)
     fill(lut, mem.u_dc, mem.turn_now, g_0, lut.gain_d, lut.gain_q)
     for j in range(7):
         lut.updated_at[j] = mem.period
     lut.ready = True
+    lut.history = False
 
 
 @kernel
-def update_linear(mem, u_min):
+def update_linear(mem, lut, u_min):
     """Gains from the last two increments, entries from the gains."""
-    lut = mem.mfpcc
     di = mem.i_dq - mem.i_dq_past
     u = scaled(mem.u_dc, mem.past.u * mem.turn_past)
     if lut.history:
@@ -111,20 +166,19 @@ def update(cfg, mem):
     lut = mem.mfpcc
     if not (lut.ready and mem.kept):
         # a table of an earlier time is worth less than the model
-        initialise(cfg, mem)
-        lut.history = False
+        initialise(cfg, mem, lut)
     if not mem.contiguous:
         lut.history = False
-    elif cfg.mfpcc_update == _LINEAR:
-        update_linear(mem, cfg.mfpcc_u_min)
+    elif cfg.mfpcc.update == _LINEAR:
+        update_linear(mem, lut, cfg.mfpcc.u_min)
     else:
         _update_last(mem)
 
 
 @kernel
-def predict(mem):
+def predict(mem, g):
     """Sample k + 1 by the table, with the committed output."""
-    g, now = mem.mfpcc.g, mem.now
+    now = mem.now
     if now.d_a == 1.0:
         return mem.i_dq + g[now.a]
     if now.d_a + now.d_b == 0.0:
@@ -143,7 +197,7 @@ def _stale(cfg, mem):
         if lut.updated_at[j] < lut.updated_at[oldest]:
             oldest = j
     # its application takes two periods to show
-    if mem.period - lut.updated_at[oldest] < cfg.mfpcc_refresh:
+    if mem.period - lut.updated_at[oldest] < cfg.mfpcc.refresh:
         return -1
     if mem.now.a == oldest or mem.past.a == oldest:
         return -1
@@ -154,15 +208,15 @@ def _stale(cfg, mem):
 def step(cfg, mem):
     """Update the table from the last increment, predict k + 1, try all seven for k + 2."""
     update(cfg, mem)
-    i_1 = predict(mem)
-    wish = mem.i_dq_ref - i_1
     g = mem.mfpcc.g
+    i_1 = predict(mem, g)
+    wish = mem.i_dq_ref - i_1
     best, best_cost = 0, np.inf
     for j in range(7):
         cost = square(wish - g[j])
         if cost < best_cost:
             best, best_cost = j, cost
-    if cfg.mfpcc_update == _LAST_REFRESH:
+    if cfg.mfpcc.update == _LAST_REFRESH:
         stale = _stale(cfg, mem)
         if stale >= 0:
             best = stale
@@ -181,6 +235,17 @@ def show(cfg, mem, diag):
         g_j = (lut.g[j] - g_0) * back
         diag.gradient_re[j], diag.gradient_im[j] = g_j.real, g_j.imag
     for j in range(7):
-        at = lut.updated_at[0 if cfg.mfpcc_update == _LINEAR else j]
+        at = lut.updated_at[0 if cfg.mfpcc.update == _LINEAR else j]
         diag.age[j] = mem.period - at
     show_shares(diag, 0.0, 0.0, 0.0)
+
+
+SCHEME = BuiltIn(
+    name="mfpcc",
+    step=step,
+    show=show,
+    parameters=PARAMETERS,
+    cfg=CFG,
+    configure=configure,
+    memory=MEMORY,
+)

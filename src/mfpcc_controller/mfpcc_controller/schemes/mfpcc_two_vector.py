@@ -12,25 +12,49 @@ that it needs no second sample). The table is that of `mfpcc`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
 from mfpcc_controller.diagnostics import show_gradients, show_shares
-from mfpcc_controller.schemes import mfpcc
+from mfpcc_controller.schemes.built_in import BuiltIn
+from mfpcc_controller.schemes.mfpcc import MEMORY, initialise, predict, update_linear
 from mfpcc_controller.vectors import scaled, set_output, square
 from pwm_node.compiled import kernel
+from pwm_node.parameters import Parameter
+
+PARAMETERS = (
+    Parameter(
+        "mfpcc_two_vector.u_min",
+        50.0,
+        "A voltage change smaller than this teaches mfpcc_two_vector no gain",
+        unit="V",
+        minimum=0.0,
+        maximum=1e3,
+    ),
+)
+
+CFG = np.dtype([("u_min", np.float64)], align=True)  # (V)
+
+
+def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
+    """Take over the smallest voltage change."""
+    cfg["mfpcc_two_vector"]["u_min"] = values["mfpcc_two_vector.u_min"]
 
 
 @kernel
 def step(cfg, mem):
     """Update the table, predict k + 1, find vector and share for k + 2."""
-    lut = mem.mfpcc
+    lut = mem.mfpcc_two_vector
     if not (lut.ready and mem.kept):
-        mfpcc.initialise(cfg, mem)
-        lut.history = False
+        initialise(cfg, mem, lut)
     if mem.contiguous:
-        mfpcc.update_linear(mem, cfg.two_vector_u_min)
+        update_linear(mem, lut, cfg.mfpcc_two_vector.u_min)
     else:
         lut.history = False
     g = lut.g
-    i_1 = mfpcc.predict(mem)
+    i_1 = predict(mem, g)
     x = mem.i_dq_ref - i_1 - g[0]
     best, best_d, best_cost = 0, 0.0, square(x)
     for j in range(1, 7):
@@ -47,9 +71,20 @@ def step(cfg, mem):
 @kernel
 def show(cfg, mem, diag):
     """The table."""
-    lut = mem.mfpcc
+    lut = mem.mfpcc_two_vector
     back = mem.turn_now.conjugate()
     show_gradients(diag, lut.g[0], (lut.g[1] - lut.g[0]) * back, (lut.g[2] - lut.g[0]) * back)
     for j in range(7):
         diag.age[j] = mem.period - lut.updated_at[0]
     show_shares(diag, 0.0, 0.0, 0.0)
+
+
+SCHEME = BuiltIn(
+    name="mfpcc_two_vector",
+    step=step,
+    show=show,
+    parameters=PARAMETERS,
+    cfg=CFG,
+    configure=configure,
+    memory=MEMORY,
+)

@@ -52,11 +52,14 @@ increment of the current leaves. An empty table is filled by a few short pulses 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from mfpcc_controller import leg_drop, search
 from mfpcc_controller.diagnostics import show_gradients, show_shares
+from mfpcc_controller.schemes.built_in import BuiltIn
 from mfpcc_controller.vectors import (
     ACTIVE_LENGTH,
     DIRECTIONS,
@@ -68,6 +71,7 @@ from mfpcc_controller.vectors import (
     square,
 )
 from pwm_node.compiled import kernel
+from pwm_node.parameters import Parameter, Value
 
 # Keeps the fit defined for a vector that was hardly applied; far below any dwell that matters.
 _EPS = 1e-6
@@ -83,6 +87,181 @@ _V_SQ_MIN = 1e-5
 _FIRST_PULSE = 0.01
 _LAST_PULSE = 0.5
 _ANSWER = 0.1
+
+# Longest limited moving-least-squares window
+_WINDOW_MAX = 32
+
+# A fresh map, and one whose errors stay large, is learned faster by this factor; it comes to be
+# learned faster, and slower again, in this time (s).
+_HASTE = 10.0
+_HASTE_TIME = 0.02
+
+# Error at which the learning rate is halfway, and largest change of a gradient in one period, over
+# the current limit, where the parameters leave them open
+_BY_ITSELF = 0.025
+
+PARAMETERS = (
+    Parameter(
+        "mls.start",
+        "model",
+        "What the table of mls_mfpcc holds at first: the model's mean inductance, or nothing, "
+        "which is then measured by a few short pulses",
+        choices=("model", "empty"),
+    ),
+    Parameter(
+        "mls.window",
+        0,
+        "Samples in the moving-least-squares window; 0: all, the forgetting factor alone limits it",
+        minimum=0,
+        maximum=_WINDOW_MAX,
+    ),
+    Parameter("mls.beta", 0.8, "Forgetting factor of the window", minimum=0.0, maximum=1.0),
+    Parameter("mls.eta_min", 0.02, "Learning rate at small errors", minimum=0.0, maximum=1.0),
+    Parameter("mls.eta_max", 0.5, "Learning rate at large errors", minimum=0.0, maximum=1.0),
+    Parameter(
+        "mls.e_0",
+        0.0,
+        "Error at which the learning rate is halfway from small to large; 0: 2.5 % of the "
+        "motor's current limit",
+        unit="A",
+        minimum=0.0,
+        maximum=1e3,
+    ),
+    Parameter(
+        "mls.g_max",
+        0.0,
+        "Largest change of a gradient in one period; 0: 2.5 % of the motor's current limit",
+        unit="A",
+        minimum=0.0,
+        maximum=1e3,
+    ),
+    Parameter(
+        "mls.map_rate",
+        0.005,
+        "Rate at which the forced entries follow what the moving part of the voltage tells; "
+        "0: the paper's update alone",
+        minimum=0.0,
+        maximum=1.0,
+    ),
+    Parameter(
+        "mls.map_memory",
+        2e-3,
+        "Memory of the voltage's mean, from which its moving part is counted",
+        unit="s",
+        minimum=1e-3,
+        maximum=10.0,
+    ),
+    Parameter(
+        "mls.compensate_inverter",
+        False,
+        "mls_mfpcc learns what dead time and on-state voltages take from the inverter's legs, "
+        "and adds it",
+    ),
+)
+
+
+def _check(values: Mapping[str, Value]) -> str | None:
+    low, high = values["mls.eta_min"], values["mls.eta_max"]
+    if low > high:  # type: ignore[operator]
+        return f"'mls.eta_min' = {low} must not exceed 'mls.eta_max' = {high}"
+    if values["mls.beta"] == 1.0 and values["mls.window"] == 0:
+        return "'mls.window' = 0 (not limited) needs 'mls.beta' below 1: something has to end it"
+    return None
+
+
+CFG = np.dtype(
+    [
+        ("empty", np.bool_),  # start with nothing in the table
+        ("window", np.int64),  # 0: not limited
+        ("beta", np.float64),
+        ("oldest", np.float64),  # weight of the sample that leaves the window
+        ("mean", np.float64),  # 1 / sum of all weights
+        ("eta_max", np.float64),
+        ("eta_span", np.float64),  # eta_max - eta_min
+        ("e_0_sq", np.float64),  # (A^2)
+        ("e_max_sq", np.float64),  # (g_max / eta_max)^2 (A^2)
+        ("mu", np.float64),  # rate of learning the map
+        ("mu_most", np.float64),  # while errors are large
+        ("mu_span", np.float64),  # their difference
+        ("gamma", np.float64),
+        ("settle", np.float64),  # share of a period in the time in which mu comes and goes
+        ("inverter", np.bool_),  # whether to compensate what the inverter's legs lose
+    ],
+    align=True,
+)
+
+MEMORY = np.dtype(
+    [
+        ("ready", np.bool_),  # the look-up table holds something
+        # the table: the natural entry (A per period, dq), and the forced entries as a linear map,
+        # which they are by their symmetry: answer to 1 V on the d and on the q axis (A/V, dq)
+        ("g_0", np.complex128),
+        ("m_d", np.complex128),
+        ("m_q", np.complex128),
+        ("learned_at", np.uint64),  # period of the last update
+        # weighted sums over the window, and the norms of the active vectors' (dq)
+        ("sum_0", np.complex128),
+        ("sum_a", np.complex128),
+        ("sum_b", np.complex128),
+        ("norm_a", np.float64),
+        ("norm_b", np.float64),
+        ("pair", np.int64),  # vector a of the pair that the window is for
+        ("pair_age", np.int64),  # periods since its first sample
+        # what is in a limited window
+        ("head", np.int64),
+        ("e_0", np.complex128, (_WINDOW_MAX,)),
+        ("e_a", np.complex128, (_WINDOW_MAX,)),
+        ("e_b", np.complex128, (_WINDOW_MAX,)),
+        ("q_a", np.float64, (_WINDOW_MAX,)),
+        ("q_b", np.float64, (_WINDOW_MAX,)),
+        # voltage of the period that the next error is about, its mean and mean square deviation
+        ("u_dq", np.complex128),  # (V)
+        ("u_mean", np.complex128),
+        ("var_d", np.float64),  # (V^2)
+        ("var_q", np.float64),
+        ("e_mean", np.complex128),  # mean of the error (A)
+        ("rate", np.float64),  # of learning from the moving part of the voltage
+        ("begun", np.bool_),  # the natural entry is that of this run
+        # 1 / (sin(60 degrees) |u_j|), and the least variance, for the u_dc they were computed for
+        ("per_volt", np.float64),
+        ("floor", np.float64),
+        ("u_dc", np.float64),
+        ("drop", leg_drop.MEMORY),
+        # self-commissioning
+        ("stage", np.int64),
+        ("dwell", np.float64),
+        ("du", np.complex128, (3,)),  # voltages of the pulses (V, dq)
+        ("di", np.complex128, (3,)),  # and what the current did (A)
+    ],
+    align=True,
+)
+
+
+def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
+    """Take over the parameters; the sums of another window are forgotten."""
+    own, lut, T_s = cfg["mls_mfpcc"], mem["mls_mfpcc"], cfg["T_s"]
+    window, beta = values["mls.window"], values["mls.beta"]
+    if (own["window"], own["beta"]) != (window, beta):
+        lut["pair"] = -1
+        for name in ("sum_0", "sum_a", "sum_b", "norm_a", "norm_b", "e_0"):
+            lut[name] = 0.0
+    own["empty"] = values["mls.start"] == "empty"
+    own["window"] = window
+    own["beta"] = beta
+    own["oldest"] = beta**window if window else 0.0
+    own["mean"] = 1.0 / (window if beta == 1.0 else (1.0 - own["oldest"]) / (1.0 - beta))
+    own["eta_max"] = values["mls.eta_max"]
+    own["eta_span"] = values["mls.eta_max"] - values["mls.eta_min"]
+    by_itself = _BY_ITSELF * cfg["i_max"]
+    own["e_0_sq"] = (values["mls.e_0"] or by_itself) ** 2
+    g_max = values["mls.g_max"] or by_itself
+    own["e_max_sq"] = (g_max / max(values["mls.eta_max"], 1e-9)) ** 2
+    own["inverter"] = values["mls.compensate_inverter"]
+    own["mu"] = values["mls.map_rate"]
+    own["mu_most"] = _HASTE * values["mls.map_rate"]
+    own["mu_span"] = own["mu_most"] - values["mls.map_rate"]
+    own["settle"] = T_s / _HASTE_TIME
+    own["gamma"] = T_s / values["mls.map_memory"]
 
 
 @kernel
@@ -105,7 +284,7 @@ def _forget(lut):
 @kernel
 def _fill(mem, m_d, m_q):
     """A first table."""
-    lut = mem.mls
+    lut = mem.mls_mfpcc
     lut.g_0, lut.m_d, lut.m_q = 0j, m_d, m_q
     lut.learned_at = mem.period
     # also what a table that failed has left
@@ -122,7 +301,7 @@ def _fill_from_model(cfg, mem):
     """First table: isotropic at the mean inductance of the controller's model, nothing natural."""
     gain = 2.0 * cfg.T_s / (cfg.L_d + cfg.L_q)
     _fill(mem, complex(gain, 0.0), complex(0.0, gain))
-    mem.mls.rate = cfg.mls_mu_most
+    mem.mls_mfpcc.rate = cfg.mls_mfpcc.mu_most
 
 
 @kernel
@@ -133,7 +312,7 @@ def _commission(cfg, mem):
     are three equations `di = g_0 + m_d u_d + m_q u_q` for the three unknowns, at any speed. The
     first pulses are so short that no motor minds, then longer until the answer stands out.
     """
-    lut = mem.mls
+    lut = mem.mls_mfpcc
     stage = lut.stage
     if stage == 0 or not mem.contiguous:
         stage = 0
@@ -161,20 +340,20 @@ def _commission(cfg, mem):
     m_d = scaled(inverse * u_2.imag, i_1) - scaled(inverse * u_1.imag, i_2)
     m_q = scaled(inverse * u_1.real, i_2) - scaled(inverse * u_2.real, i_1)
     _fill(mem, m_d, m_q)
-    lut.rate = cfg.mls_mu
+    lut.rate = cfg.mls_mfpcc.mu
 
 
 @kernel
-def _leave_window(cfg, lut, e_0, e_a, e_b, q_a, q_b):
+def _leave_window(own, lut, e_0, e_a, e_b, q_a, q_b):
     """Take the sample that is N periods old out of the sums, and keep the new one."""
     head = lut.head + 1
-    if head >= cfg.mls_window:
+    if head >= own.window:
         head = 0
     lut.head = head
     lut.pair_age += 1
-    oldest = cfg.mls_oldest
+    oldest = own.oldest
     lut.sum_0 -= scaled(oldest, lut.e_0[head])
-    if lut.pair_age >= cfg.mls_window:
+    if lut.pair_age >= own.window:
         lut.sum_a -= scaled(oldest, lut.e_a[head])
         lut.sum_b -= scaled(oldest, lut.e_b[head])
         lut.norm_a -= oldest * lut.q_a[head]
@@ -186,18 +365,19 @@ def _leave_window(cfg, lut, e_0, e_a, e_b, q_a, q_b):
 @kernel
 def _learn(cfg, mem):
     """Correct the table by the error of the prediction of this sample."""
-    lut, past, i_dq = mem.mls, mem.past, mem.i_dq
+    own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
+    past, i_dq = mem.past, mem.i_dq
     # without what the encoder's steps have turned the current by: that is no error of the table,
     # but the loop answers to it, so it would pass for one that moves with the voltage
     e = mem.e + complex(-mem.jitter * i_dq.imag, mem.jitter * i_dq.real)
     e_sq = square(e)
-    small = cfg.mls_e_0_sq / (cfg.mls_e_0_sq + e_sq)
-    eta = cfg.mls_eta_max - cfg.mls_eta_span * small
+    small = own.e_0_sq / (own.e_0_sq + e_sq)
+    eta = own.eta_max - own.eta_span * small
     e_map = e
-    if e_sq > cfg.mls_e_max_sq:
-        e = scaled(math.sqrt(cfg.mls_e_max_sq / e_sq), e)
+    if e_sq > own.e_max_sq:
+        e = scaled(math.sqrt(own.e_max_sq / e_sq), e)
         mem.bounded = True
-        if lut.rate < 2.0 * cfg.mls_mu:
+        if lut.rate < 2.0 * own.mu:
             # a map that is wrong by far makes errors as large; otherwise they are about something
             # else
             e_map = e
@@ -208,7 +388,7 @@ def _learn(cfg, mem):
     q_a, q_b = d_a * d_a, d_b * d_b
     share = 1.0 / (1.0 + q_a + q_b)
     e_0, e_a, e_b = scaled(share, e), scaled(d_a * q_a * share, e), scaled(d_b * q_b * share, e)
-    beta = cfg.mls_beta
+    beta = own.beta
     keep = beta
     if past.a != lut.pair:
         # a new pair starts with an empty window
@@ -220,8 +400,8 @@ def _learn(cfg, mem):
     lut.sum_b = e_b + scaled(keep, lut.sum_b)
     lut.norm_a = q_a + keep * lut.norm_a
     lut.norm_b = q_b + keep * lut.norm_b
-    if cfg.mls_window > 0:
-        _leave_window(cfg, lut, e_0, e_a, e_b, q_a, q_b)
+    if own.window > 0:
+        _leave_window(own, lut, e_0, e_a, e_b, q_a, q_b)
     if mem.u_dc != lut.u_dc:
         lut.u_dc = mem.u_dc
         lut.per_volt = 1.0 / (SIN_60 * ACTIVE_LENGTH * mem.u_dc)
@@ -236,12 +416,12 @@ def _learn(cfg, mem):
     all_d, all_q = lut.floor + lut.var_d + d_sq, lut.floor + lut.var_q + q_sq
     rate = lut.rate / (all_d * all_q)
     k = complex(rate * all_q * v.real, rate * all_d * v.imag)
-    lut.rate += cfg.mls_settle * (cfg.mls_mu_most - cfg.mls_mu_span * small - lut.rate)
-    lut.var_d += cfg.mls_gamma * (d_sq - lut.var_d)
-    lut.var_q += cfg.mls_gamma * (q_sq - lut.var_q)
-    lut.u_mean = mean + scaled(cfg.mls_gamma, v)
+    lut.rate += own.settle * (own.mu_most - own.mu_span * small - lut.rate)
+    lut.var_d += own.gamma * (d_sq - lut.var_d)
+    lut.var_q += own.gamma * (q_sq - lut.var_q)
+    lut.u_mean = mean + scaled(own.gamma, v)
     e_map -= lut.e_mean
-    lut.e_mean += scaled(cfg.mls_gamma, e_map)
+    lut.e_mean += scaled(own.gamma, e_map)
 
     # both into the map: with unit vectors a and b, 60 degrees apart, a voltage u is
     # (u x b) a + (a x u) b over sin 60 degrees
@@ -252,7 +432,7 @@ def _learn(cfg, mem):
     lut.m_d += scaled(eta, fit_d) + scaled(k.real, e_map)
     lut.m_q += scaled(eta, fit_q) + scaled(k.imag, e_map)
     pivot = scaled(k.real * mean.real + k.imag * mean.imag, e_map)
-    lut.g_0 += scaled(eta * cfg.mls_mean, lut.sum_0) - pivot
+    lut.g_0 += scaled(eta * own.mean, lut.sum_0) - pivot
     lut.learned_at = mem.period
     mem.eta = eta
     mem.updated = np.uint8(127)
@@ -267,7 +447,7 @@ def _turned(turn, i_dq):
 @kernel
 def _begin(cfg, mem):
     """First sample with a known past: the natural entry is what the last increment leaves."""
-    lut = mem.mls
+    lut = mem.mls_mfpcc
     u_past = scaled(mem.u_dc, mem.past.u * mem.turn_past)
     known = _response(lut, u_past) + _turned(cfg.T_s * mem.w_m, mem.i_dq_past)
     lut.g_0 = mem.i_dq - mem.i_dq_past - known
@@ -288,9 +468,9 @@ def _lost(cfg, lut, i_dq, turn):
 @kernel
 def step(cfg, mem):
     """Learn from the last error, predict k + 1, reach the reference at k + 2."""
-    lut = mem.mls
+    own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
     if not lut.ready:
-        if cfg.mls_empty:
+        if own.empty:
             _commission(cfg, mem)
         else:
             _fill_from_model(cfg, mem)
@@ -301,19 +481,19 @@ def step(cfg, mem):
         if mem.contiguous:
             _begin(cfg, mem)
     else:
-        if cfg.mls_inverter:
-            leg_drop.learn(cfg, lut.drop, mem.e - lut.e_mean, mem.u_dc)
+        if own.inverter:
+            leg_drop.learn(lut.drop, mem.e - lut.e_mean, mem.u_dc, own.gamma)
         _learn(cfg, mem)
 
     u_dq = scaled(mem.u_dc, mem.now.u * mem.turn_now)
     lut.u_dq = u_dq
     turn = cfg.T_s * mem.w_m
     i_1 = mem.i_dq + lut.g_0 + _turned(turn, mem.i_dq) + _response(lut, u_dq)
-    if cfg.mls_inverter:
+    if own.inverter:
         lut.drop.effect = _lost(cfg, lut, mem.i_dq, mem.turn_now)
         i_1 += scaled(lut.drop.volts, lut.drop.effect)
     x = mem.i_dq_ref - i_1 - lut.g_0 - _turned(turn, i_1)
-    if cfg.mls_inverter:
+    if own.inverter:
         x -= scaled(lut.drop.volts, _lost(cfg, lut, i_1, mem.turn_next))
     u_1 = scaled(ACTIVE_LENGTH * mem.u_dc, mem.turn_next)
     search.choose(cfg, x, _response(lut, u_1), _response(lut, next_vector(u_1)), mem.next)
@@ -323,7 +503,7 @@ def step(cfg, mem):
 @kernel
 def show(cfg, mem, diag):
     """The table as it is, and how the last error was shared out."""
-    lut, past = mem.mls, mem.past
+    lut, past = mem.mls_mfpcc, mem.past
     u_1 = scaled(ACTIVE_LENGTH * mem.u_dc, mem.turn_now)
     back = mem.turn_now.conjugate()
     g_1 = _response(lut, u_1) * back
@@ -338,3 +518,15 @@ def show(cfg, mem, diag):
     q_a, q_b = past.d_a * past.d_a, past.d_b * past.d_b
     share = 1.0 / (1.0 + q_a + q_b)
     show_shares(diag, share, q_a * share, q_b * share)
+
+
+SCHEME = BuiltIn(
+    name="mls_mfpcc",
+    step=step,
+    show=show,
+    parameters=PARAMETERS,
+    check=_check,
+    cfg=CFG,
+    configure=configure,
+    memory=MEMORY,
+)

@@ -14,14 +14,47 @@ and T_s z2, all that the model does not know, is added to the natural response i
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
 
 from mfpcc_controller import model, search
 from mfpcc_controller.diagnostics import show_gradients, show_nothing_learned
+from mfpcc_controller.schemes.built_in import BuiltIn
 from mfpcc_controller.vectors import scaled
 from pwm_node.compiled import kernel
+from pwm_node.parameters import Parameter
 
 # alpha = 1/2, so that the power is a root
 _DELTA = 0.1  # (A)
+
+PARAMETERS = (
+    Parameter(
+        "neso.bandwidth",
+        800.0,
+        "Bandwidth of the observer of neso_mfpcc",
+        unit="rad/s",
+        minimum=1.0,
+        maximum=20_000.0,
+    ),
+)
+
+CFG = np.dtype([("w_o", np.float64)], align=True)  # (rad/s)
+
+MEMORY = np.dtype(
+    [
+        ("ready", np.bool_),
+        ("z_1", np.complex128),  # current at the next sample (A)
+        ("z_2", np.complex128),  # what the model does not know (A/s)
+    ],
+    align=True,
+)
+
+
+def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
+    """Take over the bandwidth."""
+    cfg["neso_mfpcc"]["w_o"] = values["neso.bandwidth"]
 
 
 @kernel
@@ -35,7 +68,7 @@ def _fal(x):
 @kernel
 def step(cfg, mem):
     """Observe, predict sample k + 1 with the committed output, reach the reference at k + 2."""
-    eso, w_o, T_s = mem.neso, cfg.neso_w_o, cfg.T_s
+    eso, w_o, T_s = mem.neso_mfpcc, cfg.neso_mfpcc.w_o, cfg.T_s
     h = model.predict(cfg, mem) - mem.i_dq
     if not (eso.ready and mem.contiguous and mem.kept):
         # start from what the model missed in the last increment
@@ -64,6 +97,17 @@ def show(cfg, mem, diag):
     """The model's gradients at this sample, the natural one with what the observer adds."""
     G_1, G_2 = model.forced_vectors(cfg, mem.u_dc, mem.turn_now)
     back = mem.turn_now.conjugate()
-    natural = model.natural(cfg, mem.w_m, mem.i_dq) + scaled(cfg.T_s, mem.neso.z_2)
+    natural = model.natural(cfg, mem.w_m, mem.i_dq) + scaled(cfg.T_s, mem.neso_mfpcc.z_2)
     show_gradients(diag, natural, G_1 * back, G_2 * back)
     show_nothing_learned(diag)
+
+
+SCHEME = BuiltIn(
+    name="neso_mfpcc",
+    step=step,
+    show=show,
+    parameters=PARAMETERS,
+    cfg=CFG,
+    configure=configure,
+    memory=MEMORY,
+)

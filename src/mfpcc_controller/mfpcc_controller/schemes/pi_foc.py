@@ -9,9 +9,43 @@ middle of the period it applies to.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
 from mfpcc_controller import model, search
+from mfpcc_controller.schemes import mbpcc
+from mfpcc_controller.schemes.built_in import BuiltIn
 from mfpcc_controller.vectors import ACTIVE_LENGTH, next_vector, scaled
 from pwm_node.compiled import kernel
+from pwm_node.parameters import Parameter
+
+PARAMETERS = (
+    Parameter(
+        "pi.bandwidth",
+        2_000.0,
+        "Bandwidth of the current control of pi_foc",
+        unit="rad/s",
+        minimum=1.0,
+        maximum=20_000.0,
+    ),
+)
+
+CFG = np.dtype([("alpha", np.float64)], align=True)  # (rad/s)
+
+MEMORY = np.dtype(
+    [
+        ("ready", np.bool_),
+        ("integral", np.complex128),  # (V)
+    ],
+    align=True,
+)
+
+
+def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
+    """Take over the bandwidth."""
+    cfg["pi_foc"]["alpha"] = values["pi.bandwidth"]
 
 
 @kernel
@@ -22,7 +56,7 @@ def _per_axis(d, q, z):
 @kernel
 def step(cfg, mem):
     """Voltage from the present error, realised in period k + 1."""
-    pi, alpha, i_dq = mem.pi, cfg.pi_alpha, mem.i_dq
+    pi, alpha, i_dq = mem.pi_foc, cfg.pi_foc.alpha, mem.i_dq
     k_d, k_q = alpha * cfg.L_d, alpha * cfg.L_q
     error = mem.i_dq_ref - i_dq
     # decoupling, back-EMF and active damping with the resistance R_a = k_p - R_s
@@ -45,3 +79,14 @@ def step(cfg, mem):
     pi.integral += _per_axis(step_d, step_q, error + _per_axis(1.0 / k_d, 1.0 / k_q, missing))
     # no part of the control: what the model behind the decoupling predicts, for the diagnostics
     mem.i_hat = model.predict(cfg, mem)
+
+
+SCHEME = BuiltIn(
+    name="pi_foc",
+    step=step,
+    show=mbpcc.show,
+    parameters=PARAMETERS,
+    cfg=CFG,
+    configure=configure,
+    memory=MEMORY,
+)

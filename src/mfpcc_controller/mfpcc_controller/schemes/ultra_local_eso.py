@@ -13,11 +13,45 @@ parameter is alpha, from the controller's inductance.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
 
 from mfpcc_controller import model, search
 from mfpcc_controller.diagnostics import show_gradients, show_nothing_learned
+from mfpcc_controller.schemes.built_in import BuiltIn
 from mfpcc_controller.vectors import scaled
 from pwm_node.compiled import kernel
+from pwm_node.parameters import Parameter
+
+PARAMETERS = (
+    Parameter(
+        "ultra_local.bandwidth",
+        1_200.0,
+        "Bandwidth of the observer of ultra_local_eso",
+        unit="rad/s",
+        minimum=1.0,
+        maximum=20_000.0,
+    ),
+)
+
+CFG = np.dtype([("w_o", np.float64)], align=True)  # (rad/s)
+
+#: The observer's states
+MEMORY = np.dtype(
+    [
+        ("ready", np.bool_),
+        ("z_1", np.complex128),  # current at the next sample (A)
+        ("z_2", np.complex128),  # F (A/s)
+    ],
+    align=True,
+)
+
+
+def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
+    """Take over the bandwidth."""
+    cfg["ultra_local_eso"]["w_o"] = values["ultra_local.bandwidth"]
 
 
 @kernel
@@ -35,27 +69,26 @@ def reach(cfg, mem, unknown):
 
 
 @kernel
-def take_over(cfg, mem):
-    """Start the observer where the last increment leaves it, unless it was in control then."""
-    eso = mem.ultra
-    if eso.ready and mem.kept and mem.contiguous:
+def take_over(cfg, mem, observer):
+    """Start an observer where the last increment leaves it, unless it was in control then."""
+    if observer.ready and mem.kept and mem.contiguous:
         return
-    eso.z_1 = mem.i_dq
-    eso.z_2 = 0j
+    observer.z_1 = mem.i_dq
+    observer.z_2 = 0j
     if mem.contiguous:
         u_past = scaled(mem.u_dc, mem.past.u * mem.turn_past)
         unknown = mem.i_dq - mem.i_dq_past - model.forced(cfg, u_past)
-        eso.z_2 = scaled(1.0 / cfg.T_s, unknown)
-    eso.ready = True
+        observer.z_2 = scaled(1.0 / cfg.T_s, unknown)
+    observer.ready = True
 
 
 @kernel
 def step(cfg, mem):
     """Observe F, then reach the reference."""
-    take_over(cfg, mem)
-    eso, T_s = mem.ultra, cfg.T_s
+    eso, T_s = mem.ultra_local_eso, cfg.T_s
+    take_over(cfg, mem, eso)
     # both poles of the error at exp(-w_o T_s)
-    pole = math.exp(-cfg.ultra_w_o * T_s)
+    pole = math.exp(-cfg.ultra_local_eso.w_o * T_s)
     err = mem.i_dq - eso.z_1
     i_0 = eso.z_1 + scaled(1.0 - pole * pole, err)
     eso.z_2 += scaled((1.0 - pole) * (1.0 - pole) / T_s, err)
@@ -66,9 +99,26 @@ def step(cfg, mem):
 
 
 @kernel
-def show(cfg, mem, diag):
-    """The gradients: T_s F, and T_s alpha u_j."""
+def show_observed(cfg, mem, observer, diag):
+    """The gradients by an observer: T_s F, and T_s alpha u_j."""
     G_1, G_2 = model.forced_vectors(cfg, mem.u_dc, mem.turn_now)
     back = mem.turn_now.conjugate()
-    show_gradients(diag, scaled(cfg.T_s, mem.ultra.z_2), G_1 * back, G_2 * back)
+    show_gradients(diag, scaled(cfg.T_s, observer.z_2), G_1 * back, G_2 * back)
     show_nothing_learned(diag)
+
+
+@kernel
+def show(cfg, mem, diag):
+    """The gradients by this observer."""
+    show_observed(cfg, mem, mem.ultra_local_eso, diag)
+
+
+SCHEME = BuiltIn(
+    name="ultra_local_eso",
+    step=step,
+    show=show,
+    parameters=PARAMETERS,
+    cfg=CFG,
+    configure=configure,
+    memory=MEMORY,
+)

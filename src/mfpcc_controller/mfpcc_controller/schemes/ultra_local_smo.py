@@ -14,10 +14,51 @@ doi:10.1115/1.3143852).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
 from mfpcc_controller import model
-from mfpcc_controller.schemes.ultra_local_eso import reach, take_over
+from mfpcc_controller.schemes.built_in import BuiltIn
+from mfpcc_controller.schemes.ultra_local_eso import MEMORY, reach, show_observed, take_over
 from mfpcc_controller.vectors import scaled
 from pwm_node.compiled import kernel
+from pwm_node.parameters import Parameter
+
+PARAMETERS = (
+    Parameter(
+        "smo.gain",
+        2_000.0,
+        "Strength of the observer of ultra_local_smo",
+        unit="A/s",
+        minimum=1.0,
+        maximum=1e6,
+    ),
+    Parameter(
+        "smo.width",
+        1.0,
+        "Error of the observer of ultra_local_smo up to which it is linear (boundary layer)",
+        unit="A",
+        minimum=1e-3,
+        maximum=1e3,
+    ),
+)
+
+CFG = np.dtype(
+    [
+        ("k", np.float64),  # (A/s)
+        ("width", np.float64),  # (A)
+    ],
+    align=True,
+)
+
+
+def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
+    """Take over strength and width."""
+    own = cfg["ultra_local_smo"]
+    own["k"] = values["smo.gain"]
+    own["width"] = values["smo.width"]
 
 
 @kernel
@@ -28,11 +69,29 @@ def _sat(x):
 @kernel
 def step(cfg, mem):
     """Observe F, then reach the reference."""
-    take_over(cfg, mem)
-    smo, T_s, k, width = mem.ultra, cfg.T_s, cfg.smo_k, cfg.smo_width
+    own, smo, T_s = cfg.ultra_local_smo, mem.ultra_local_smo, cfg.T_s
+    k, width = own.k, own.width
+    take_over(cfg, mem, smo)
     err = mem.i_dq - smo.z_1
     force = scaled(k, complex(_sat(err.real / width), _sat(err.imag / width)))
     u_now = scaled(mem.u_dc, mem.now.u * mem.turn_now)
     smo.z_2 += scaled(T_s * k / (4.0 * width), force)
     smo.z_1 += model.forced(cfg, u_now) + scaled(T_s, smo.z_2 + force)
     reach(cfg, mem, scaled(T_s, smo.z_2))
+
+
+@kernel
+def show(cfg, mem, diag):
+    """The gradients by this observer."""
+    show_observed(cfg, mem, mem.ultra_local_smo, diag)
+
+
+SCHEME = BuiltIn(
+    name="ultra_local_smo",
+    step=step,
+    show=show,
+    parameters=PARAMETERS,
+    cfg=CFG,
+    configure=configure,
+    memory=MEMORY,
+)

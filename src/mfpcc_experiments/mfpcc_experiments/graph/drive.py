@@ -28,7 +28,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.bags.bag import BagWriter

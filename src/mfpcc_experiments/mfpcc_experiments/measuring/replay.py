@@ -27,7 +27,7 @@ import numpy as np
 from mfpcc_msgs.msg import DutyCommand, LutDiagnostics
 from numpy.typing import NDArray
 
-from mfpcc_controller.drive import Controller, answer
+from mfpcc_controller.controller import Controller, answer
 from mfpcc_controller.parameters import TABLE
 from mfpcc_controller.vectors import LEGS, set_output
 from mfpcc_experiments.bags.recording import Recording

@@ -257,7 +257,7 @@ def step_times(path: Path, progress: Progress | None = None) -> dict[str, float]
     progress : callable, optional
         Told the share that is done, 0 to 1.
     """
-    from mfpcc_controller.drive import Controller
+    from mfpcc_controller.controller import Controller
     from mfpcc_experiments.running import engine
 
     found = recording.read(path)

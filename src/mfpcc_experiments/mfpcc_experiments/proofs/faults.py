@@ -24,7 +24,7 @@ import numpy as np
 from mfpcc_msgs.msg import DriveState, DutyCommand, PhaseFeedback
 from numpy.typing import NDArray
 
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.running.engine import Engine
 from pmsm_sim.injection import UNITS

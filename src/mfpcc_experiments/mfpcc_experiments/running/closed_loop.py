@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.measuring import metrics
 from mfpcc_experiments.running.engine import Engine

@@ -15,7 +15,7 @@ import numpy as np
 from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
 from numpy.typing import NDArray
 
-from mfpcc_controller.drive import Controller, answer
+from mfpcc_controller.controller import Controller, answer
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant, advance, latch

@@ -10,7 +10,7 @@ import numpy as np
 from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
 from numpy.typing import NDArray
 
-from mfpcc_controller.drive import Controller
+from mfpcc_controller.controller import Controller
 from mfpcc_experiments.bags.bag import BagWriter
 from mfpcc_experiments.bags.provenance import versions
 from mfpcc_experiments.progress import Tell

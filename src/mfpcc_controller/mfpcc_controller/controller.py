@@ -1,7 +1,7 @@
 """The drive controller: one PWM period from the sample to the command.
 
 `Controller` holds the records. The kernel `control` does the work of one period and is what both
-the node and the in-process engine call; its three stages `sample`, `choose`, `command` are kernels
+the node and the in-process engine call; its stages `sample`, `schemes.step`, `command` are kernels
 of their own, so that a plug-in in Python can stand in the place of the second. A controller sees
 measurement records, and nothing else of the plant. Nothing here knows of ROS.
 """
@@ -15,35 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_controller import model, motor, plug_in, protection
+from mfpcc_controller import model, motor, plug_in, protection, schemes
 from mfpcc_controller.observer import observe, turned_by
-from mfpcc_controller.parameters import MFPCC_UPDATES, SCHEMES
 from mfpcc_controller.records import CONTROL_CFG, CONTROL_MEMORY
-from mfpcc_controller.schemes import (
-    mbpcc,
-    mbpcc_single_vector,
-    mfpcc,
-    mfpcc_two_vector,
-    mls_mfpcc,
-    neso_mfpcc,
-    pi_foc,
-    ultra_local_eso,
-    ultra_local_smo,
-)
 from mfpcc_controller.speed_loop import current_reference, mtpa_d
 from mfpcc_controller.vectors import copy_output, leg_duties, set_output
 from pwm_node.compiled import direct, kernel
 
-_MLS_MFPCC = SCHEMES.index("mls_mfpcc")
-_MFPCC = SCHEMES.index("mfpcc")
-_MBPCC = SCHEMES.index("mbpcc")
-_MBPCC_SINGLE_VECTOR = SCHEMES.index("mbpcc_single_vector")
-_NESO_MFPCC = SCHEMES.index("neso_mfpcc")
-_PI_FOC = SCHEMES.index("pi_foc")
-_ULTRA_LOCAL_ESO = SCHEMES.index("ultra_local_eso")
-_ULTRA_LOCAL_SMO = SCHEMES.index("ultra_local_smo")
-_MFPCC_TWO_VECTOR = SCHEMES.index("mfpcc_two_vector")
-_BUILT_IN = len(SCHEMES)
+_BUILT_IN = len(schemes.BUILT_IN)
 
 _TWO_PI = 2.0 * math.pi
 _INV_SQRT3 = 1.0 / math.sqrt(3.0)
@@ -54,19 +33,9 @@ _WHOLE_PERIOD = 1.0 + 1e-9
 
 
 @kernel
-def _forget(mem):
-    """Whatever a scheme that failed has learned is not to be trusted."""
-    mem.mls.ready = False
-    mem.mfpcc.ready = False
-    mem.neso.ready = False
-    mem.ultra.ready = False
-    mem.pi.ready = False
-
-
-@kernel
 def _give_up(cfg, mem):
     """The scheme in control does badly: the fallback from now on; if it is it, the gates."""
-    _forget(mem)
+    schemes.forget(mem)
     if mem.fallen or cfg.fallback == cfg.scheme:
         mem.failed = True
     mem.fallen = True
@@ -136,50 +105,6 @@ def sample(cfg, mem, fb):
 
 
 @kernel
-def choose(cfg, mem):
-    """Let the built-in scheme in control choose `mem.next`; a plug-in has done so already."""
-    active = mem.active
-    if active == _MLS_MFPCC:
-        mls_mfpcc.step(cfg, mem)
-    elif active == _MFPCC:
-        mfpcc.step(cfg, mem)
-    elif active == _MBPCC:
-        mbpcc.step(cfg, mem)
-    elif active == _MBPCC_SINGLE_VECTOR:
-        mbpcc_single_vector.step(cfg, mem)
-    elif active == _NESO_MFPCC:
-        neso_mfpcc.step(cfg, mem)
-    elif active == _PI_FOC:
-        pi_foc.step(cfg, mem)
-    elif active == _ULTRA_LOCAL_ESO:
-        ultra_local_eso.step(cfg, mem)
-    elif active == _ULTRA_LOCAL_SMO:
-        ultra_local_smo.step(cfg, mem)
-    elif active == _MFPCC_TWO_VECTOR:
-        mfpcc_two_vector.step(cfg, mem)
-
-
-@kernel
-def _show(cfg, mem, diag):
-    """Let the scheme in control fill its part of the diagnostics."""
-    active = mem.active
-    if active == _MLS_MFPCC:
-        mls_mfpcc.show(cfg, mem, diag)
-    elif active == _MFPCC:
-        mfpcc.show(cfg, mem, diag)
-    elif active == _MFPCC_TWO_VECTOR:
-        mfpcc_two_vector.show(cfg, mem, diag)
-    elif active == _NESO_MFPCC:
-        neso_mfpcc.show(cfg, mem, diag)
-    elif active in (_ULTRA_LOCAL_ESO, _ULTRA_LOCAL_SMO):
-        ultra_local_eso.show(cfg, mem, diag)
-    elif active < _BUILT_IN:
-        mbpcc.show(cfg, mem, diag)
-    else:
-        plug_in.show(diag)
-
-
-@kernel
 def _sound(mem):
     """Whether the chosen output can be given to the inverter; written so that NaN is not.
 
@@ -202,12 +127,12 @@ def _sound(mem):
 def _fall_back(cfg, mem):
     """The scheme in control has failed: the fallback answers the same sample."""
     protection.report(cfg, mem, protection.SCHEME, 0.0)
-    _forget(mem)
+    schemes.forget(mem)
     if not mem.fallen and cfg.fallback != mem.active:
         mem.fallen = True
         mem.active = cfg.fallback
         mem.kept = False
-        choose(cfg, mem)
+        schemes.step(cfg, mem)
         if _sound(mem):
             return
     mem.fallen = True
@@ -227,7 +152,10 @@ def _set_stamp(stamp, period, period_ns):
 @kernel
 def _diagnose(cfg, mem, diag):
     """Fill the diagnostics record."""
-    _show(cfg, mem, diag)
+    if mem.active < _BUILT_IN:
+        schemes.show(cfg, mem, diag)
+    else:
+        plug_in.show(diag)
     diag.period = mem.period
     _set_stamp(diag.stamp, mem.period, cfg.period_ns)
     diag.prediction_error[0] = mem.e.real
@@ -277,7 +205,7 @@ def answer(cfg, mem, fb, cmd, diag, want_diag):
         protection.refuse(cfg, mem, fb)
         return
     sample(cfg, mem, fb)
-    choose(cfg, mem)
+    schemes.step(cfg, mem)
     command(cfg, mem, cmd, diag, want_diag)
 
 
@@ -308,7 +236,7 @@ def _sample(cfg_, mem_, fb_):
 
 @kernel
 def _command(cfg_, mem_, cmd_, diag_, want_diag):
-    choose(cfg_[0], mem_[0])
+    schemes.step(cfg_[0], mem_[0])
     command(cfg_[0], mem_[0], cmd_[0], diag_[0], want_diag)
 
 
@@ -497,7 +425,7 @@ class Controller:
         T_s = 1.0 / values["pwm_frequency"]
         if "scheme" in changes:
             self._choose_scheme(values["scheme"])
-        cfg["fallback"] = SCHEMES.index(values["fallback_scheme"])
+        cfg["fallback"] = schemes.NAMES.index(values["fallback_scheme"])
         cfg["R_s"] = est_par.R_s * values["mismatch.resistance"]
         cfg["L_d"] = est_par.L_d * values["mismatch.inductance"]
         cfg["L_q"] = est_par.L_q * values["mismatch.inductance"]
@@ -509,22 +437,14 @@ class Controller:
 
         cfg["rank_sectors"] = values["sector_search"] == "ranking"
         cfg["project"] = values["overmodulation"] == "project"
-        self._apply_mls(changes)
-        cfg["mfpcc_update"] = MFPCC_UPDATES.index(values["mfpcc.update"])
-        cfg["mfpcc_u_min"] = values["mfpcc.u_min"]
-        cfg["mfpcc_refresh"] = values["mfpcc.refresh"]
-        cfg["two_vector_u_min"] = values["mfpcc_two_vector.u_min"]
-        cfg["neso_w_o"] = values["neso.bandwidth"]
-        cfg["ultra_w_o"] = values["ultra_local.bandwidth"]
-        cfg["smo_k"] = values["smo.gain"]
-        cfg["smo_width"] = values["smo.width"]
-        cfg["pi_alpha"] = values["pi.bandwidth"]
+        for scheme in schemes.BUILT_IN:
+            scheme.configure(cfg[0], self.mem[0], values)
 
     def _choose_scheme(self, name: str) -> None:
         # also one that failed, chosen again, gets another chance
         self.mem["chosen"] = -1
-        if name in SCHEMES:
-            self.cfg["scheme"] = SCHEMES.index(name)
+        if name in schemes.NAMES:
+            self.cfg["scheme"] = schemes.NAMES.index(name)
             self._plug_in = None
         else:
             # a new number each time, so that the switch is seen
@@ -598,44 +518,10 @@ class Controller:
             low, high = (middle, high) if torque(middle) < torque_limit else (low, middle)
         return low
 
-    def _apply_mls(self, changes: Mapping[str, Any]) -> None:
-        values, cfg = self.values, self.cfg
-        window, beta = values["mls.window"], values["mls.beta"]
-        cfg["mls_empty"] = values["mls.start"] == "empty"
-        cfg["mls_window"] = window
-        cfg["mls_beta"] = beta
-        cfg["mls_oldest"] = beta**window if window else 0.0
-        weights = window if beta == 1.0 else (1.0 - cfg["mls_oldest"][0]) / (1.0 - beta)
-        cfg["mls_mean"] = 1.0 / weights
-        cfg["mls_eta_max"] = values["mls.eta_max"]
-        cfg["mls_eta_span"] = values["mls.eta_max"] - values["mls.eta_min"]
-        by_itself = 0.025 * self.motor.i_max
-        cfg["mls_e_0_sq"] = (values["mls.e_0"] or by_itself) ** 2
-        g_max = values["mls.g_max"] or by_itself
-        cfg["mls_e_max_sq"] = (g_max / max(values["mls.eta_max"], 1e-9)) ** 2
-        cfg["mls_inverter"] = values["mls.compensate_inverter"]
-        cfg["mls_mu"] = values["mls.map_rate"]
-        cfg["mls_mu_most"] = _HASTE * values["mls.map_rate"]
-        cfg["mls_mu_span"] = cfg["mls_mu_most"] - values["mls.map_rate"]
-        cfg["mls_settle"] = cfg["T_s"] / _HASTE_TIME
-        cfg["mls_gamma"] = cfg["T_s"] / values["mls.map_memory"]
-        if "mls.window" in changes or "mls.beta" in changes:
-            # the sums belong to the old window
-            memory = self.mem["mls"]
-            memory["pair"] = -1
-            for name in ("sum_0", "sum_a", "sum_b", "norm_a", "norm_b", "e_0"):
-                memory[name] = 0.0
-
 
 #: Filters of the sum of the phase currents, and of the powers that SPINOUT compares (s)
 _SUM_TIME = 1e-3
 _POWER_TIME = 5e-3
-
-#: A fresh map, and one whose errors stay large, is learned faster by this factor.
-_HASTE = 10.0
-
-#: Time in which mls_mfpcc comes to learn its map faster, and slower again (s)
-_HASTE_TIME = 0.02
 
 #: Bandwidth of field weakening (rad/s): slower than the current, faster than the speed
 _WEAKENING_BANDWIDTH = 100.0
