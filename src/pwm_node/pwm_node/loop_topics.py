@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-
-if TYPE_CHECKING:
-    from pwm_node.node import PwmNode
 
 PUBLISH = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 SUBSCRIBE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -35,16 +33,21 @@ class LoopPublisher:
 
     Parameters
     ----------
-    node : PwmNode
+    node : Node
         The node that publishes.
     msg_class : type
         Message class.
     topic : str
         Topic name, relative.
+    stopping : callable
+        Tells whether the node is about to end: nobody is waited for then.
     """
 
-    def __init__(self, node: PwmNode, msg_class: Any, topic: str) -> None:
+    def __init__(
+        self, node: Node, msg_class: Any, topic: str, *, stopping: Callable[[], bool]
+    ) -> None:
         self._node = node
+        self._stopping = stopping
         self._msg_class = msg_class
         self._name = topic
         self._matches = 0
@@ -156,7 +159,7 @@ class LoopPublisher:
         """Publish where it just failed since somebody takes nothing; each attempt lasts 0.1 s."""
         began = time.monotonic()
         told = False
-        while self._node.context.ok() and not self._node.stopping:
+        while self._node.context.ok() and not self._stopping():
             try:
                 self._publish_raw(data)
             except rclpy_implementation.RCLError as again:
@@ -184,7 +187,7 @@ class LoopSubscription:
 
     Parameters
     ----------
-    node : PwmNode
+    node : Node
         The node that subscribes.
     msg_class : type
         Message class.
@@ -198,7 +201,7 @@ class LoopSubscription:
 
     def __init__(
         self,
-        node: PwmNode,
+        node: Node,
         msg_class: Any,
         topic: str,
         callback: Callable[[bytes], None],

@@ -240,7 +240,7 @@ class PwmNode(LifecycleNode):
 
     def create_loop_publisher(self, msg_class: Any, topic: str) -> LoopPublisher:
         """Create a publisher of serialized messages at PWM rate; `cleanup` removes it."""
-        publisher = LoopPublisher(self, msg_class, topic)
+        publisher = LoopPublisher(self, msg_class, topic, stopping=lambda: self.stopping)
         if self.tap is not None:
             publisher.copy_to(self.tap(topic))
         self.loop_publishers.append(publisher)
