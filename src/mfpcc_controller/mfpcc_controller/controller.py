@@ -20,6 +20,7 @@ from mfpcc_controller.observer import observe, turned_by
 from mfpcc_controller.records import CONTROL_CFG, CONTROL_MEMORY
 from mfpcc_controller.speed_loop import current_reference, mtpa_d
 from mfpcc_controller.vectors import copy_output, leg_duties, set_output
+from pwm_node import stamps
 from pwm_node.compiled import direct, kernel
 
 _BUILT_IN = len(schemes.BUILT_IN)
@@ -142,14 +143,6 @@ def _fall_back(cfg, mem):
 
 
 @kernel
-def _set_stamp(stamp, period, period_ns):
-    t_ns = np.int64(period) * period_ns
-    sec = t_ns // 1_000_000_000
-    stamp.sec = sec
-    stamp.nanosec = t_ns - 1_000_000_000 * sec
-
-
-@kernel
 def _diagnose(cfg, mem, diag):
     """Fill the diagnostics record."""
     if mem.active < _BUILT_IN:
@@ -157,7 +150,7 @@ def _diagnose(cfg, mem, diag):
     else:
         plug_in.show(diag)
     diag.period = mem.period
-    _set_stamp(diag.stamp, mem.period, cfg.period_ns)
+    stamps.put(diag.stamp, mem.period, cfg.pwm_frequency)
     diag.prediction_error[0] = mem.e.real
     diag.prediction_error[1] = mem.e.imag
     diag.i_dq[0] = mem.i_dq.real
@@ -186,7 +179,7 @@ def command(cfg, mem, cmd, diag, want_diag):
         set_output(mem.next, 0, 0, 0.0, 0.0)
     mem.next.on = on
     cmd.period = mem.period + np.uint64(1)
-    _set_stamp(cmd.stamp, cmd.period, cfg.period_ns)
+    stamps.put(cmd.stamp, cmd.period, cfg.pwm_frequency)
     leg_duties(mem.next, cmd.duty)
     cmd.vectors[0] = mem.next.a
     cmd.vectors[1] = mem.next.b
@@ -258,8 +251,8 @@ class Controller:
         self.values = dict(values)
         self.cfg = np.zeros(1, CONTROL_CFG)
         self.mem = np.zeros(1, CONTROL_MEMORY)
+        self.cfg["pwm_frequency"] = values["pwm_frequency"]
         self.cfg["T_s"] = 1.0 / values["pwm_frequency"]
-        self.cfg["period_ns"] = round(1e9 / values["pwm_frequency"])
         self.cfg["n_p"] = self.motor.n_p
         self.cfg["i_max"] = self.motor.i_max
         self.cfg["enable"] = True

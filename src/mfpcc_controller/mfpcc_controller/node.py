@@ -343,7 +343,7 @@ class MfpccController(PwmNode):
             enabled=self.active and bool(core.released),
             faults=core.faults(),
             period=self.period,
-            period_ns=int(core.cfg["period_ns"][0]),
+            pwm_frequency=float(core.cfg["pwm_frequency"][0]),
             scheme=core.scheme,
         )
         if told:

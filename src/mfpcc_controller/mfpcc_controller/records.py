@@ -16,8 +16,8 @@ CONTROL_CFG = np.dtype(
         ("scheme", np.int64),  # position in schemes.BUILT_IN; beyond: a plug-in
         ("fallback", np.int64),  # who takes over when it fails
         ("enable", np.bool_),  # False: gates off
+        ("pwm_frequency", np.float64),  # (Hz)
         ("T_s", np.float64),  # (s)
-        ("period_ns", np.int64),
         # the controller's model of the motor (est_par with the mismatch applied)
         ("R_s", np.float64),  # (ohm)
         ("L_d", np.float64),  # (H)

@@ -52,7 +52,7 @@ class Drive:
             for name in ("pmsm_sim", "mfpcc_controller")
         }
         self.folder = folder / "axis1"
-        self.box = BlackBox(self.host, folder, self.nodes, 1e-4)
+        self.box = BlackBox(self.host, folder, self.nodes, 1e4)
         self._messages = messages
 
     def run(self, periods: int, *, first: int) -> None:

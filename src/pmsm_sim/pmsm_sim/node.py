@@ -347,7 +347,7 @@ class PmsmSim(PwmNode):
             enabled=bool(core.st["gates_on"][0]),
             faults=core.faults(),
             period=self.period,
-            period_ns=int(core.par["period_ns"][0]),
+            pwm_frequency=float(core.par["pwm_frequency"][0]),
         )
         if told:
             self._stops.log()

@@ -104,6 +104,11 @@ TABLE = Table(
             minimum=1_000.0,
             maximum=100_000.0,
             read_only=True,
+            also=(
+                "f_pwm",
+                "f_s",
+                "T_s",
+            ),
         ),
         Parameter(
             "real_time_factor",
@@ -113,7 +118,15 @@ TABLE = Table(
             minimum=0.0,
             maximum=100.0,
         ),
-        Parameter("load_torque", 0.0, "Load torque", unit="N m", minimum=-1e4, maximum=1e4),
+        Parameter(
+            "load_torque",
+            0.0,
+            "Load torque",
+            unit="N m",
+            minimum=-1e4,
+            maximum=1e4,
+            also=("tau_L", "T_L"),
+        ),
         Parameter(
             "dc_voltage",
             311.0,
@@ -121,6 +134,10 @@ TABLE = Table(
             unit="V",
             minimum=1.0,
             maximum=2_000.0,
+            also=(
+                "u_dc",
+                "v_dc",
+            ),
         ),
         Parameter(
             "inverter.missing_command",
@@ -414,6 +431,7 @@ TABLE = Table(
             minimum=0.0,
             maximum=1e3,
             read_only=True,
+            also=("load.J",),
         ),
         Parameter(
             "load.shaft_stiffness",
@@ -514,6 +532,10 @@ TABLE = Table(
             "Stator resistance over that of the motor file",
             minimum=0.01,
             maximum=100.0,
+            also=(
+                "drift.R",
+                "drift.R_s",
+            ),
         ),
         Parameter(
             "drift.flux",
@@ -521,6 +543,10 @@ TABLE = Table(
             "Magnet flux over that of the motor file or flux map",
             minimum=0.0,
             maximum=10.0,
+            also=(
+                "drift.psi",
+                "drift.psi_f",
+            ),
         ),
         Parameter(
             "drift.temperature",

@@ -56,6 +56,7 @@ from pmsm_sim.records import (
     PROFILE_SIZE,
 )
 from pmsm_sim.sensors import sample, wrapped
+from pwm_node import stamps
 from pwm_node.compiled import kernel
 from pwm_node.errors import ForPeople
 
@@ -115,13 +116,6 @@ def latch(st_, cmd_):
         st.refused += np.uint64(1)  # the second of the two
     st.latched = True
     return ACCEPTED
-
-
-@kernel
-def _set_stamp(stamp, period, period_ns):
-    t_ns = np.int64(period) * period_ns
-    stamp.sec = t_ns // 1_000_000_000
-    stamp.nanosec = t_ns % 1_000_000_000
 
 
 @kernel
@@ -187,12 +181,12 @@ def advance(par_, st_, fb_, ds_, i_abc, legs_out):
         inject_gates(par, st)
     theta_m = par.n_p * st.theta_M
     c, s = math.cos(theta_m), math.sin(theta_m)
-    _set_stamp(fb.stamp, st.period, par.period_ns)
-    _set_stamp(ds.stamp, st.period, par.period_ns)
+    stamps.put(fb.stamp, st.period, par.pwm_frequency)
+    ds.stamp.sec, ds.stamp.nanosec = fb.stamp.sec, fb.stamp.nanosec
     sample(par, st, c, s, fb)
     if faulty:
         inject_sample(par, st, fb)
-        _set_stamp(fb.stamp, fb.period, par.period_ns)
+        stamps.put(fb.stamp, fb.period, par.pwm_frequency)
 
     ds.period = st.period
     ds.i_dq[0] = st.i_d
@@ -259,8 +253,8 @@ class Plant:
                 par[field] = self._map.par[field]
         for field in ("L_d", "L_q", "n_p"):
             par[field] = getattr(self.motor, field)
+        par["pwm_frequency"] = values["pwm_frequency"]
         par["T_s"] = 1.0 / values["pwm_frequency"]
-        par["period_ns"] = round(1e9 / values["pwm_frequency"])
         par["h_max"] = 0.5 * par["T_s"]
         par["seed"] = values["seed"]
 

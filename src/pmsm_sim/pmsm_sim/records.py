@@ -56,8 +56,8 @@ PLANT_PAR = np.dtype(
         ("u_dc", np.float64),  # DC-link voltage, where it is stiff (V)
         ("noise_rms", np.float64),  # noise of each phase-current sensor (A)
         ("seed", np.uint64),
+        ("pwm_frequency", np.float64),  # (Hz)
         ("T_s", np.float64),  # PWM period (s)
-        ("period_ns", np.int64),  # the same in ns, for stamps without rounding
         ("h_max", np.float64),  # longest internal step (s) of the ideal model
         ("h_general", np.float64),  # and of the general one
         # missing commands (see `inverter.take_command`)

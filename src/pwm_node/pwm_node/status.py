@@ -7,6 +7,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from pwm_node import stamps
 from pwm_node.stops import Fault
 
 #: Who comes later gets the state that is, not those that were.
@@ -38,7 +39,7 @@ class StatusPublisher:
         enabled: bool,
         faults: list[Fault],
         period: int,
-        period_ns: int,
+        pwm_frequency: float,
         scheme: str = "",
     ) -> bool:
         """
@@ -54,8 +55,8 @@ class StatusPublisher:
             Latched faults, oldest first.
         period : int
             The period in which it is so; before the first, any negative number.
-        period_ns : int
-            Duration of a period (ns), for the stamps.
+        pwm_frequency : float
+            PWM frequency (Hz), for the stamps.
         scheme : str
             The scheme in control, where there is one.
 
@@ -75,11 +76,11 @@ class StatusPublisher:
             enabled=enabled,
             scheme=scheme,
             faults=[
-                _stamped(self._fault(code=code, detail=detail, period=at), at, period_ns)
+                _stamped(self._fault(code=code, detail=detail, period=at), at, pwm_frequency)
                 for code, at, detail in faults
             ],
         )
-        self._publisher.publish(_stamped(status, status.period, period_ns))
+        self._publisher.publish(_stamped(status, status.period, pwm_frequency))
         return True
 
     def destroy(self) -> None:
@@ -87,7 +88,7 @@ class StatusPublisher:
         self._node.destroy_publisher(self._publisher)
 
 
-def _stamped(message: Any, period: int, period_ns: int) -> Any:
+def _stamped(message: Any, period: int, pwm_frequency: float) -> Any:
     """Give a message the simulated time at which its period begins."""
-    message.stamp.sec, message.stamp.nanosec = divmod(period * period_ns, 1_000_000_000)
+    message.stamp.sec, message.stamp.nanosec = stamps.begin(period, pwm_frequency)
     return message

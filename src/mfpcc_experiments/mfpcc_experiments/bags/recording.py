@@ -31,6 +31,7 @@ from mfpcc_experiments.bags.bag import (
     message_definition,
 )
 from mfpcc_experiments.notes import Note, warning
+from pwm_node import stamps
 
 Progress = Callable[[float], None]
 _Periods = NDArray[np.int64]
@@ -609,10 +610,10 @@ def _complete(recording: Recording) -> None:
     with suppress(KeyError, TypeError, ValueError):
         recording.T_s = float(config["T_s"])
     if not 0.0 < recording.T_s < 1.0:
-        stamp = feedback["stamp"]["sec"].astype(np.int64) * 1_000_000_000
-        stamp += feedback["stamp"]["nanosec"]
+        first, last = stamps.nanoseconds(feedback["stamp"][[0, -1]]).tolist()
         periods = int(feedback["period"][-1]) - int(feedback["period"][0])
-        recording.T_s = float(stamp[-1] - stamp[0]) * 1e-9 / periods if periods > 0 else 0.0
+        with suppress(ValueError):
+            recording.T_s = 1.0 / stamps.frequency(first, last, periods)
     if not 0.0 < recording.T_s < 1.0:
         raise BagError(f"{recording.path}: the PWM period cannot be told from the time stamps")
     if not _is_window(config):

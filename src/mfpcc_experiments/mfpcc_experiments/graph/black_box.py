@@ -43,6 +43,7 @@ from rclpy.timer import Timer
 from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
 from mfpcc_experiments.bags.provenance import versions
 from pmsm_sim import motor
+from pwm_node import stamps
 from pwm_node.yaml_files import FileError
 
 #: What is kept of the time before a fault and after it (simulated s).
@@ -113,8 +114,8 @@ class BlackBox:
         Where bags and list go. The box of a drive in a namespace has a folder of its own in it.
     nodes : mapping of DriveNode
         The plant and the controller by their names.
-    T_s : float
-        PWM period (s).
+    pwm_frequency : float
+        PWM frequency (Hz), unless the plant's parameters say it.
 
     Attributes
     ----------
@@ -123,14 +124,15 @@ class BlackBox:
     """
 
     def __init__(
-        self, node: Node, directory: Path, nodes: Mapping[str, DriveNode], T_s: float
+        self, node: Node, directory: Path, nodes: Mapping[str, DriveNode], pwm_frequency: float
     ) -> None:
-        self.before, self.after = round(BEFORE / T_s), round(AFTER / T_s)
+        self.before = round(BEFORE * pwm_frequency)
+        self.after = round(AFTER * pwm_frequency)
         length = self.before + self.after + _ROOM
         self.rings: dict[str, deque[bytes]] = {topic: deque(maxlen=length) for topic in LOOP_TOPICS}
         self._node = node
         self._nodes = nodes
-        self._T_s, self._period_ns = T_s, round(1e9 * T_s)
+        self._pwm_frequency = pwm_frequency
         self._archive = Archive(directory / node.get_namespace().strip("/"))
         self._namespace = node.get_namespace()
         self._statuses: deque[bytes] = deque(maxlen=_STATUS_KEPT)
@@ -227,6 +229,7 @@ class BlackBox:
         begin, end = window
         excerpts = {topic: _excerpt(rows, begin, end, event.period) for topic, rows in kept.items()}
         values = {name: at_begin for name, (at_begin, _) in nodes.items() if at_begin}
+        pwm_frequency = values.get("pmsm_sim", {}).get("pwm_frequency", self._pwm_frequency)
         changes = [
             {"node": name, **change}
             for name, (_, recent) in nodes.items()
@@ -235,7 +238,7 @@ class BlackBox:
         ]
         name = f"{event.wall:%Y-%m-%dT%H-%M-%S}.{event.wall.microsecond // 1000:03d}_{event.code}"
         page = {
-            **event.page(self._T_s),
+            **event.page(pwm_frequency),
             "limits": _limits(event.code, values.get(event.node, {})),
             "bag": name,
             "values": {**_figures(excerpts, event.period, values, changes), **counters},
@@ -244,9 +247,14 @@ class BlackBox:
             with self._archive.new(name) as folder:
                 _write_bag(
                     folder,
-                    _config(event.code, self._T_s, values),
+                    _config(event.code, pwm_frequency, values),
                     self._namespace,
-                    _in_order(excerpts, statuses, begin * self._period_ns, end * self._period_ns),
+                    _in_order(
+                        excerpts,
+                        statuses,
+                        stamps.at(*stamps.begin(begin, pwm_frequency)),
+                        stamps.at(*stamps.begin(end, pwm_frequency)),
+                    ),
                     {"trip": page, "parameter_changes": changes},
                 )
                 (folder / PAGE).write_text(_yaml([page]), encoding="utf-8")
@@ -285,8 +293,8 @@ class BlackBoxNode(Node):
         self._box: BlackBox | None = None
         if directory:
             by_name = {node.get_name(): node for node in nodes}
-            T_s = 1.0 / by_name["pmsm_sim"].values["pwm_frequency"]
-            box = self._box = BlackBox(self, Path(directory), by_name, T_s)
+            pwm_frequency = by_name["pmsm_sim"].values["pwm_frequency"]
+            box = self._box = BlackBox(self, Path(directory), by_name, pwm_frequency)
             for node in nodes:
                 node.tap = lambda topic: box.rings[topic].append
 
@@ -331,7 +339,7 @@ class _Event:
             for fault in faults
         ]
 
-    def page(self, T_s: float) -> dict[str, Any]:
+    def page(self, pwm_frequency: float) -> dict[str, Any]:
         """What is known of it without a look at the messages."""
         first = next(fault for fault in self._faults if fault["code"] == self.code)
         more = [fault for fault in self._faults if fault is not first]
@@ -341,7 +349,7 @@ class _Event:
             "seen": first["seen"],
             "wall clock": self.wall.isoformat(timespec="milliseconds"),
             "period": self.period,
-            "simulated time (s)": round(self.period * T_s, 9),
+            "simulated time (s)": round(self.period / pwm_frequency, 9),
             **({"then": more} if more else {}),
         }
 
@@ -414,8 +422,7 @@ def _in_order(
 
     def stamped(topic: str, messages: Sequence[bytes]) -> Iterator[tuple[int, int, str, bytes]]:
         for data in messages:
-            sec, nanosec = _STAMP.unpack_from(data)
-            yield sec * 1_000_000_000 + nanosec, _ORDER.index(topic), topic, data
+            yield stamps.at(*_STAMP.unpack_from(data)), _ORDER.index(topic), topic, data
 
     told = [
         (max(stamp, begin_ns), rank, topic, data)
@@ -556,10 +563,16 @@ def _yaml(data: Any) -> str:
     return text
 
 
-def _config(code: str, T_s: float, values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _config(
+    code: str, pwm_frequency: float, values: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
     """What a recording of the verb `run` has too, as far as it is known."""
-    config: dict[str, Any] = {"experiment": f"trip {code}", "engine": "ros", "T_s": T_s}
-    config["versions"] = versions()
+    config: dict[str, Any] = {
+        "experiment": f"trip {code}",
+        "engine": "ros",
+        "T_s": 1.0 / pwm_frequency,
+        "versions": versions(),
+    }
     plant = values.get("pmsm_sim")
     if values:
         config["parameters"] = dict(values)

@@ -35,7 +35,7 @@ from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
 from mfpcc_experiments.graph.black_box import BlackBox
 from pmsm_sim.parameters import TABLE as PLANT
-from pwm_node import ros_parameters, spin
+from pwm_node import ros_parameters, spin, stamps
 
 # Keep all and reliable: a recorder that cannot follow slows the loop down instead of losing.
 _KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
@@ -67,7 +67,7 @@ def sink(writer: BagWriter, topic: str) -> Callable[[bytes], None]:
 
     def append(data: bytes) -> None:
         sec, nanosec, _ = unpack(data)
-        write(topic, sec * 1_000_000_000 + nanosec, data)
+        write(topic, stamps.at(sec, nanosec), data)
 
     return append
 
@@ -239,7 +239,7 @@ class Recorder(Node):
                 self._out_of_step(topic, period - last[topic])
             last[topic] = period
             sent.append((sent_at, period))
-            stamp = sec * 1_000_000_000 + nanosec
+            stamp = stamps.at(sec, nanosec)
             if writer is not None:
                 writer.write(topic, stamp, data)
             if self._box is not None:
@@ -251,11 +251,11 @@ class Recorder(Node):
 
     def _open_box(self, directory: Path, stamp: int, period: int) -> None:
         """Begin a black box as soon as two stamps tell the length of a period."""
-        if self._first is None:
+        if self._first is None or period < self._first[1]:
             self._first = stamp, period
-        elif period != self._first[1]:
-            T_s = 1e-9 * (stamp - self._first[0]) / (period - self._first[1])
-            self._box = BlackBox(self, directory, self.drive, T_s)
+        elif period > self._first[1] and stamp > self._first[0]:
+            pwm_frequency = stamps.frequency(self._first[0], stamp, period - self._first[1])
+            self._box = BlackBox(self, directory, self.drive, pwm_frequency)
 
     def _out_of_step(self, topic: str, step: int) -> None:
         """Count what is missing; how many periods apart messages are, the first ones tell."""

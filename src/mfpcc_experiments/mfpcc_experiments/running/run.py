@@ -17,6 +17,7 @@ from mfpcc_experiments.progress import Tell
 from mfpcc_experiments.running.engine import Engine, Trace, step_time
 from mfpcc_experiments.running.scenario import Scenario
 from pmsm_sim import motor
+from pwm_node import stamps
 from pwm_node.wire import Wire
 
 
@@ -146,19 +147,14 @@ def write_trace(
         ),
     )
     topics = [
-        (topic, stamps(rows).tolist(), messages, every) for topic, rows, messages, every in streams
+        (topic, stamps.nanoseconds(rows["stamp"]).tolist(), messages, every)
+        for topic, rows, messages, every in streams
     ]
     for k, period in enumerate(trace.feedback["period"].tolist()):
         for topic, times, messages, every in topics:
             data = next(messages)
             if every and period % every == 0:
                 writer.write(topic, times[k], data)
-
-
-def stamps(rows: NDArray[np.void]) -> NDArray[np.int64]:
-    """Stamps of messages in ns."""
-    nanoseconds: NDArray[np.int64] = rows["stamp"]["sec"].astype(np.int64) * 1_000_000_000
-    return nanoseconds + rows["stamp"]["nanosec"]
 
 
 def _serialized(wire: Wire, rows: NDArray[np.void], **tails: NDArray[Any]) -> Iterator[bytes]:
