@@ -5,7 +5,8 @@ Data sheets give what can be measured between two terminals, in units and conven
 the equations here are per phase of the equivalent star, with amplitudes. For a star connection or
 its equivalent, with line-to-line values R_ll, L_ll and the EMF between two terminals:
 
-    R_s = R_ll / 2,   L = L_ll / 2
+    R_s = R_ll / 2,   L = L_ll / 2   (whatever the connection)
+    R_s = R_ph / 3,   L = L_ph / 3   (from one phase of a delta; of a star it is itself)
     psi_f = E_ll,peak / (sqrt(3) w_m),   w_m = n_p w_M
     tau = 1.5 n_p psi_f i (i: amplitude of the phase current)
 
@@ -18,36 +19,99 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from pwm_node.names import unknown
 
 _RPM = 2.0 * math.pi / 60.0
+_POUND = 0.45359237  # kg, exactly
+_POUND_FORCE = 4.4482216152605  # N, exactly: the pound times 9.80665 m/s^2
+_INCH, _FOOT = 0.0254, 0.3048  # m, exactly
+_LB_IN = _POUND_FORCE * _INCH  # N m
+_OZ_IN = _LB_IN / 16.0
+_LB_FT = _POUND_FORCE * _FOOT
+_KGF_CM = 0.0980665  # N m, exactly
 
-# What may follow a number, by quantity: how much of the SI unit it is.
+_TORQUE = {
+    "Nm": 1.0,
+    "mNm": 1e-3,
+    "uNm": 1e-6,
+    "kNm": 1e3,
+    "Ncm": 1e-2,
+    "ozin": _OZ_IN,
+    "lbin": _LB_IN,
+    "lbft": _LB_FT,
+    "kgcm": _KGF_CM,
+    "gcm": 1e-3 * _KGF_CM,
+}
+_SPEED = {"rpm": _RPM, "krpm": 1e3 * _RPM, "rps": 60.0 * _RPM, "rad/s": 1.0}  # in rad/s
+_VOLTAGE = {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3}
+
+#: What may follow a number, by quantity, as `_spelt` spells it: how much of the SI unit it is.
 UNITS: dict[str, dict[str, float]] = {
-    "resistance": {"ohm": 1.0, "mohm": 1e-3, "Ω": 1.0, "mΩ": 1e-3},
-    "inductance": {"H": 1.0, "mH": 1e-3, "uH": 1e-6, "µH": 1e-6},
+    "resistance": {"ohm": 1.0, "mohm": 1e-3, "uohm": 1e-6, "kohm": 1e3},
+    "inductance": {"H": 1.0, "mH": 1e-3, "uH": 1e-6},
     "ke": {
-        "V/(rad/s)": 1.0,
-        "V/krpm": 1e-3 / _RPM,
-        "mV/rpm": 1e-3 / _RPM,
-        "V/rpm": 1.0 / _RPM,
-    },
-    "kv": {"rpm/V": _RPM},
-    "kt": {"Nm/A": 1.0, "mNm/A": 1e-3, "Ncm/A": 1e-2, "ozin/A": 7.0615518e-3},
+        f"{volt}/{speed}": _VOLTAGE[volt] / s
+        for volt in ("V", "mV", "uV")
+        for speed, s in _SPEED.items()
+    }
+    | {"Vs/rad": 1.0, "mVs/rad": 1e-3, "Vs": 1.0, "mVs": 1e-3},
+    "kv": {f"{speed}/V": s for speed, s in _SPEED.items()} | {"rad/Vs": 1.0, "KV": _RPM},
+    "kt": {f"{torque}/A": n_m for torque, n_m in _TORQUE.items()} | {"Nm/mA": 1e3, "mNm/mA": 1.0},
     "inertia": {
         "kgm2": 1.0,
         "kgcm2": 1e-4,
+        "kgmm2": 1e-6,
+        "gm2": 1e-3,
         "gcm2": 1e-7,
-        "ozins2": 7.0615518e-3,
+        "gmm2": 1e-9,
+        "ozin2": _POUND / 16.0 * _INCH**2,
+        "lbin2": _POUND * _INCH**2,
+        "lbft2": _POUND * _FOOT**2,
+        "ozins2": _OZ_IN,
+        "lbins2": _LB_IN,
+        "lbfts2": _LB_FT,
+        "kgcms2": _KGF_CM,
+        "gcms2": 1e-3 * _KGF_CM,
+        "Nms2": 1.0,
+        "mNms2": 1e-3,
     },
-    "torque": {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2, "ozin": 7.0615518e-3},
+    "torque": _TORQUE,
     "current": {"A": 1.0, "mA": 1e-3},
-    "speed": {"rpm": 1.0},
-    "voltage": {"V": 1.0},
+    "speed": {speed: s / _RPM for speed, s in _SPEED.items()},
+    "voltage": _VOLTAGE,
 }
+
+# How units are written, and how they are spelt here. In this order; all that is left of a unit
+# before is letters, digits and /, since signs of multiplication and powers are taken away.
+_SPELLINGS = tuple(
+    (re.compile(pattern), spelt)
+    for pattern, spelt in (
+        # turns per minute: min-1, 1/min, /min, r/min, rev/min, U/min, tr/min; of 1000 of them
+        (r"min-1", "rpm"),
+        (r"(?i)(?<![a-z])(?:revs?|rot|tr|r|u|1)?/min(?![a-z])", "rpm"),
+        (r"(?i)rpm", "rpm"),
+        (r"1000/?rpm|[kK]rpm", "krpm"),
+        (r"(?i)(?<![a-z])(?:revs?|r|u)/s(?:ec)?(?![a-z])", "rps"),
+        (r"(?i)volts?", "V"),
+        (r"(?i)amp(?:ere)?s?", "A"),
+        (r"V-1$", "/V"),
+        (r"A-1$", "/A"),
+        (r"(?i)ohms?$", "ohm"),
+        (r"(?i)(?<![a-z])(?:oz|lb|in|ft)(?:-?(?:oz|lb|in|ft|f|s|sec|2))+(?![a-z])", str.lower),
+        (r"-", ""),
+        (r"sec", "s"),
+        (r"(oz|lb)f(?!t)", r"\1"),
+        (r"(k?g)f", r"\1"),
+        (r"^(in|ft)(oz|lb)", r"\2\1"),
+        (r"^cmk(?:g|p)", "kgcm"),
+    )
+)
+# What the letters behind volt or ampere say of how it counts
+_COUNTED = {"rms": "rms", "eff": "rms", "pk": "peak", "peak": "peak", "p": "peak", "dc": "dc"}
 
 # Peak phase EMF over what the sheet's voltage constant gives
 _EMF = {
@@ -78,14 +142,18 @@ class Sheet:
     poles : int
         Number of poles, twice that of the pole pairs.
     resistance, inductance : float
-        Between two terminals (ohm, H), or per phase if `per_phase`.
+        Between two terminals (ohm, H), or of one phase of the winding if `per_phase`.
     inductance_q : float, optional
         Of the q axis, where the sheet gives both; `inductance` is of the d axis then (H).
     kt, kv, ke : float, optional
         Torque constant (N m/A), speed constant (rad/s per V, between terminals, peak), voltage
         constant (V s/rad mechanical). At least one is needed.
+    winding : str
+        star or delta: what a phase of it is. Values between terminals do not depend on it.
     kt_current : str
-        How `kt` and the currents count: rms, peak or dc.
+        How `kt` counts the current of a terminal: rms, peak or dc.
+    current_counted : str, optional
+        How `current` counts; default: as `kt` does.
     ke_voltage : str
         How `ke` counts: ll-peak, ll-rms, phase-peak or phase-rms.
     inertia : float
@@ -105,6 +173,7 @@ class Sheet:
     voltage: float
     inductance_q: float | None = None
     per_phase: bool = False
+    winding: str = "star"
     kt: float | None = None
     kv: float | None = None
     ke: float | None = None
@@ -114,6 +183,14 @@ class Sheet:
     current: float | None = None
     speed: float | None = None
     no_load_speed: float | None = None
+    current_counted: str | None = None
+
+    @property
+    def rated_amplitude(self) -> float | None:
+        """Amplitude of the rated current of a terminal (A)."""
+        if self.current is None:
+            return None
+        return _CURRENT[self.current_counted or self.kt_current] * self.current
 
 
 @dataclass
@@ -136,38 +213,121 @@ class Motor:
     contradictions: list[str] = field(default_factory=list)
 
 
-def quantity(kind: str, text: str) -> float:
+@dataclass(frozen=True)
+class Quantity:
     """
-    Read a number with its unit, such as `0.56 mH`, into SI units.
+    A number of a data sheet.
+
+    Attributes
+    ----------
+    value : float
+        In SI units; a speed in r/min.
+    counted : str, optional
+        rms, peak or dc, where the unit says it: `Vrms/krpm`, `N m/Apk`.
+    """
+
+    value: float
+    counted: str | None = None
+
+
+def quantity(kind: str, text: str) -> float:
+    """The value of `read`."""
+    return read(kind, text).value
+
+
+def read(kind: str, text: str) -> Quantity:
+    """
+    Read a number with its unit, as data sheets write it: `0.56 mH`, `70 µH`, `1,02 mV/min⁻¹`.
 
     Parameters
     ----------
     kind : str
         A key of `UNITS`.
+
+    Raises
+    ------
+    SheetError
+        If it is no number, has no unit or one of something else, or is not above 0.
     """
     units = UNITS[kind]
-    match = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\S.*)?", text)
+    plain = _plain(text)
+    if kind == "kv":  # as model makers write it: KV400, 400 kv
+        plain = re.sub(r"(?i)^kv *[=:]? *([0-9.,]+)$|^([0-9.,]+) *kv$", r"\1\2 KV", plain)
+    match = re.fullmatch(
+        r"([-+]?[0-9.,]*[0-9][0-9.,]*(?: [0-9]{3}(?![0-9]))*(?:[.,][0-9]+)?(?:[eE][-+]?[0-9]+)?)"
+        r"(?: *[x*] *10\^?([-+]?[0-9]+))?"
+        r" *([^0-9.,\s-].*|1/.*)?",
+        plain,
+    )
     if match is None:
         raise SheetError(f"'{text}' is no {kind}; expected a number with its unit, {_any(units)}")
-    unit = re.sub(r"[\s·*^]|²", lambda m: "2" if m.group() == "²" else "", match.group(2) or "")
-    if not unit:
+    digits, power, written = match.groups()
+    if not written:
         raise SheetError(f"'{text}' has no unit; {kind} takes {_any(units)}")
+    unit, counted = _spelt(written, kind)
     if unit not in units:
         raise SheetError(f"'{text}': {unknown('unit', unit, units)}")
-    try:
-        value = float(match.group(1)) * units[unit]
-    except ValueError:
-        raise SheetError(f"'{text}' is no {kind}: '{match.group(1)}' is no number") from None
+    value = _number(digits, text, kind) * 10.0 ** int(power or 0) * units[unit]
     if not (math.isfinite(value) and value > 0.0):
         raise SheetError(f"'{text}': {kind} must be above 0")
-    return value
+    return Quantity(value, counted)
+
+
+def _plain(text: str) -> str:
+    """One spelling of what Unicode has several of: micro, ohm, powers, minus, spaces."""
+    text = unicodedata.normalize("NFKC", text)
+    for signs, plain in (
+        ("μ", "u"),
+        ("Ω", "ohm"),
+        ("\u2010\u2011\u2012\u2013\u2014\u2212", "-"),
+        ("·⋅•∙×✕", "*"),
+    ):
+        for sign in signs:
+            text = text.replace(sign, plain)
+    return " ".join(text.split())
+
+
+def _number(digits: str, text: str, kind: str) -> float:
+    """A number with a decimal point or comma, and spaces or commas between thousands."""
+    digits = digits.strip().rstrip(",")
+    if re.fullmatch(r"[-+]?[0-9]{1,3}( [0-9]{3})+([.,][0-9]+)?", digits):
+        digits = digits.replace(" ", "")
+    if re.fullmatch(r"[-+]?[1-9][0-9]{0,2},[0-9]{3}", digits):
+        raise SheetError(
+            f"'{text}': does the comma part thousands or decimals? {digits.replace(',', '.')} or "
+            f"{digits.replace(',', '')} is clear"
+        )
+    if re.fullmatch(r"[-+]?[0-9]{1,3}(,[0-9]{3})+\.[0-9]+|[-+]?[0-9]{1,3}(,[0-9]{3}){2,}", digits):
+        digits = digits.replace(",", "")
+    try:
+        return float(digits.replace(",", "."))
+    except ValueError:
+        raise SheetError(f"'{text}' is no {kind}: '{digits}' is no number") from None
+
+
+def _spelt(written: str, kind: str) -> tuple[str, str | None]:
+    """A unit as `UNITS` spells it, and how its volt or ampere counts, if it says so."""
+    unit = re.sub(r"[\s*.^_()]", "", written)
+    counted = None
+    found = re.search(r"(?i)(?<=[AV])-?(rms|eff|peak|pk|p|dc)(?![a-z])", unit)
+    if found is not None and kind in ("ke", "kt", "current", "voltage"):
+        counted = _COUNTED[found.group(1).lower()]
+        unit = unit[: found.start()] + unit[found.end() :]
+    for pattern, spelling in _SPELLINGS:
+        if isinstance(spelling, str):
+            unit = pattern.sub(spelling, unit)
+        else:
+            unit = pattern.sub(lambda match: match.group().lower(), unit)
+    return unit, counted
 
 
 def convert(sheet: Sheet) -> Motor:
     """The parameters of a motor file from a data sheet."""
     for kind, value, known in (
         ("way to count current", sheet.kt_current, _CURRENT),
+        ("way to count current", sheet.current_counted or "rms", _CURRENT),
         ("way to count voltage", sheet.ke_voltage, _EMF),
+        ("winding", sheet.winding, ("star", "delta")),
     ):
         if value not in known:
             raise SheetError(unknown(kind, value, known))
@@ -177,7 +337,10 @@ def convert(sheet: Sheet) -> Motor:
     n_p = sheet.poles // 2
     motor.steps.append(("n_p", f"{sheet.poles} poles / 2", f"{n_p}"))
 
-    share, by = (1.0, "per phase") if sheet.per_phase else (0.5, "line-to-line / 2")
+    share, by = 0.5, "line-to-line / 2"
+    if sheet.per_phase:
+        delta = sheet.winding == "delta"
+        share, by = (1.0 / 3.0, "per phase of the delta / 3") if delta else (1.0, "per phase")
     R_s = share * sheet.resistance
     L_d = share * sheet.inductance
     L_q = share * (sheet.inductance_q or sheet.inductance)
@@ -201,9 +364,10 @@ def convert(sheet: Sheet) -> Motor:
     motor.steps.append(("J", "rotor", f"{sheet.inertia:.4g} kg m^2"))
 
     per_ampere = 1.5 * n_p * psi_f
-    if sheet.current is not None:
-        rated = _CURRENT[sheet.kt_current] * sheet.current
-        how = f"{sheet.current:.4g} A ({sheet.kt_current}) as an amplitude"
+    if sheet.rated_amplitude is not None:
+        rated = sheet.rated_amplitude
+        counted = sheet.current_counted or sheet.kt_current
+        how = f"{sheet.current:.4g} A ({counted}) as an amplitude"
     elif sheet.torque is not None:
         rated = sheet.torque / per_ampere
         how = f"{sheet.torque:.4g} N m / (1.5 n_p psi_f)"
@@ -241,8 +405,12 @@ def _fluxes(sheet: Sheet, n_p: int) -> list[tuple[str, str, float]]:
     """Flux linkage of the magnets from each constant there is: name, conversion, V s."""
     found = []
     if sheet.ke is not None:
-        psi = sheet.ke * _EMF[sheet.ke_voltage] / n_p
-        how = f"{sheet.ke:.4g} V s ({sheet.ke_voltage}) x {_EMF[sheet.ke_voltage]:.4g} / n_p"
+        emf, counted = _EMF[sheet.ke_voltage], sheet.ke_voltage
+        if sheet.winding == "delta" and counted.startswith("phase"):
+            # a phase of a delta lies between two terminals
+            emf, counted = emf / math.sqrt(3.0), f"{counted} of the delta"
+        psi = sheet.ke * emf / n_p
+        how = f"{sheet.ke:.4g} V s ({counted}) x {emf:.4g} / n_p"
         found.append(("kE", how, psi))
     if sheet.kt is not None:
         amplitude = _CURRENT[sheet.kt_current]
@@ -267,14 +435,14 @@ def _contradictions(
                 f"{first} and {name} contradict each other: they give psi_f = {psi_f:.4g} and "
                 f"{psi:.4g} V s, {abs(psi / psi_f - 1.0):.0%} apart{_hint(psi / psi_f)}"
             )
-    if sheet.torque is not None and sheet.current is not None:
-        torque = per_ampere * _CURRENT[sheet.kt_current] * sheet.current
+    if sheet.torque is not None and sheet.rated_amplitude is not None:
+        torque = per_ampere * sheet.rated_amplitude
         # friction and iron take a part of it, and the two are rounded and rated each by itself
         if not 0.8 < sheet.torque / torque < 1.0 + 2.0 * TOLERANCE:
             yield (
                 f"rated torque and current contradict {first}: {sheet.current:.4g} A "
-                f"({sheet.kt_current}) give {torque:.4g} N m, the sheet says {sheet.torque:.4g} N m"
-                f"{_hint(sheet.torque / torque)}"
+                f"({sheet.current_counted or sheet.kt_current}) give {torque:.4g} N m, the sheet "
+                f"says {sheet.torque:.4g} N m{_hint(sheet.torque / torque)}"
             )
     if sheet.no_load_speed is not None:
         ideal = reachable

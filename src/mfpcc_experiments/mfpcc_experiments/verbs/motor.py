@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from mfpcc_experiments.datasheet import Quantity
 
 
 def _quantity(kind: str) -> Any:
     """Callback that reads a number with its unit."""
 
-    def read(ctx: click.Context, parameter: click.Parameter, text: str | None) -> float | None:
+    def read(ctx: click.Context, parameter: click.Parameter, text: str | None) -> Quantity | None:
         from mfpcc_experiments import datasheet
 
         if text is None or ctx.resilient_parsing:
             return None
         try:
-            return datasheet.quantity(kind, text)
+            return datasheet.read(kind, text)
         except datasheet.SheetError as error:
             raise click.BadParameter(str(error), ctx, parameter) from None
 
     return read
 
 
+def _poles(ctx: click.Context, parameter: click.Parameter, text: str) -> int:
+    """Number of poles, alone or as makers of outrunners write it: 12N14P has 14."""
+    match = re.fullmatch(r"(?:[0-9]+[NS])?([0-9]{1,4})P?", text.strip(), re.IGNORECASE)
+    if match is None:
+        raise click.BadParameter(
+            f"'{text}': a whole number is expected, or as in 12N14P", ctx, parameter
+        )
+    return int(match.group(1))
+
+
 @click.command(short_help="From a data sheet to a motor file.")
 @click.option("--name", required=True, help="Name of the motor, and of its file.")
-@click.option("--poles", type=int, required=True, help="Number of poles (twice the pole pairs).")
+@click.option(
+    "--poles",
+    required=True,
+    callback=_poles,
+    help="Number of poles (twice the pole pairs), or as '12N14P'.",
+)
 @click.option(
     "-R", "--resistance", required=True, callback=_quantity("resistance"), help="As '1.2 ohm'."
 )
@@ -39,21 +58,27 @@ def _quantity(kind: str) -> Any:
     help="Of the q axis, if the sheet gives both; -L is of the d axis then.",
 )
 @click.option(
-    "--per-phase", is_flag=True, help="R and L are per phase; without it, between two terminals."
+    "--per-phase",
+    is_flag=True,
+    help="R and L are of one phase of the winding; without it, between two terminals.",
+)
+@click.option(
+    "--winding",
+    default="star",
+    show_default=True,
+    help="What a phase is, if a value is of a phase: star, or delta (between two terminals).",
 )
 @click.option("--kt", callback=_quantity("kt"), help="Torque constant, as '25.5 mNm/A'.")
 @click.option(
     "--kt-current",
-    default="rms",
-    show_default=True,
-    help="How the sheet counts current: rms, peak, or dc (block commutation: maxon, Faulhaber).",
+    help="How the sheet counts current: rms, peak, or dc (block commutation: maxon, Faulhaber).  "
+    "[default: as the unit says (Nm/Arms), else rms]",
 )
 @click.option("--ke", callback=_quantity("ke"), help="Voltage constant, as '51 V/krpm'.")
 @click.option(
     "--ke-voltage",
-    default="ll-rms",
-    show_default=True,
-    help="How it counts voltage: ll-rms, ll-peak, phase-rms, phase-peak.",
+    help="How it counts voltage: ll-rms, ll-peak, phase-rms, phase-peak.  [default: between two "
+    "terminals, as the unit says (Vpk/krpm), else rms]",
 )
 @click.option("--kv", callback=_quantity("kv"), help="Speed constant, as '374 rpm/V'.")
 @click.option(
@@ -76,11 +101,14 @@ def command(
     source: str,
     out: Path | None,
     force: bool,
-    **values: Any,
+    kt_current: str | None,
+    ke_voltage: str | None,
+    **sheet: Any,
 ) -> None:
     """From what a data sheet gives to the parameters used here, with the conversion shown.
 
-    A number takes its unit with it: -R '1.2 ohm' -L 0.56mH. A sheet that contradicts itself is
+    A number takes its unit with it, as it stands on the sheet: -R '1.2 ohm' -L 0.56mH
+    --ke '1,02 mV/min-1' --torque '180 oz-in'. A sheet that contradicts itself is
     told so; then the first of kE, kT, kV counts, and the exit code is 1.
 
     \b
@@ -93,7 +121,16 @@ def command(
     from mfpcc_experiments import datasheet
 
     try:
-        motor = datasheet.convert(datasheet.Sheet(**values))
+        counted = {
+            "kt_current": _counted("--kt", kt_current, sheet["kt"]),
+            "ke_voltage": _counted("--ke", ke_voltage, sheet["ke"], before="ll-"),
+            "current_counted": sheet["current"] and sheet["current"].counted,
+        }
+        values: dict[str, Any] = {
+            name: value.value if isinstance(value, datasheet.Quantity) else value
+            for name, value in sheet.items()
+        }
+        motor = datasheet.convert(datasheet.Sheet(**values, **counted))
     except datasheet.SheetError as error:
         raise click.UsageError(str(error)) from None
 
@@ -119,6 +156,18 @@ def command(
         for sentence in motor.contradictions:
             click.echo(f"mfpcc: the sheet contradicts itself: {sentence}", err=True)
         click.get_current_context().exit(1)
+
+
+def _counted(option: str, told: str | None, number: Quantity | None, *, before: str = "") -> str:
+    """How a constant counts, from an option and from its unit; they must not contradict."""
+    from mfpcc_experiments.datasheet import SheetError
+
+    by_unit = number.counted if number is not None else None
+    if told is None:
+        return f"{before}{by_unit or 'rms'}"
+    if by_unit is not None and not told.endswith(by_unit):
+        raise SheetError(f"the unit of {option} says '{by_unit}', its option '{told}'")
+    return told
 
 
 def _write(path: Path, text: str, force: bool) -> None:
