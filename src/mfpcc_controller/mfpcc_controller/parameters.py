@@ -45,6 +45,11 @@ TABLE = Table(
             minimum=1_000.0,
             maximum=100_000.0,
             read_only=True,
+            also=(
+                "f_pwm",
+                "f_s",
+                "T_s",
+            ),
         ),
         Parameter("scheme", "mls_mfpcc", "Current-control scheme", choices=(*SCHEMES, *PLUG_INS)),
         Parameter(
@@ -59,6 +64,12 @@ TABLE = Table(
             "Inductance of the controller's model over the motor file's",
             minimum=0.01,
             maximum=100.0,
+            also=(
+                "mismatch.L",
+                "mismatch.L_s",
+                "mismatch.L_d",
+                "mismatch.L_q",
+            ),
         ),
         Parameter(
             "mismatch.resistance",
@@ -66,6 +77,10 @@ TABLE = Table(
             "Resistance of the controller's model over the motor file's",
             minimum=0.0,
             maximum=100.0,
+            also=(
+                "mismatch.R",
+                "mismatch.R_s",
+            ),
         ),
         Parameter(
             "mismatch.flux",
@@ -73,6 +88,10 @@ TABLE = Table(
             "Magnet flux of the controller's model over the motor file's",
             minimum=0.0,
             maximum=100.0,
+            also=(
+                "mismatch.psi",
+                "mismatch.psi_f",
+            ),
         ),
         Parameter(
             "control_mode",

@@ -23,6 +23,8 @@ class Fake:
 
     def __init__(self) -> None:
         self.runs: list[tuple[str, str, str, int, bool]] = []
+        self.scenarios: list[Any] = []
+        self.window_s: Any = None
         self.compared: list[Path] = []
         self.failure: BaseException | None = None
 
@@ -43,10 +45,13 @@ class Fake:
         progress(scenario.periods / 2)
         if self.failure is not None:
             raise self.failure
+        self.scenarios.append(scenario)
         self.runs.append((scenario.name, scheme, engine, seed, separate))
 
-    def compare(self, paths: Any, out: Path, *, progress: Any = None) -> list[dict[str, Any]]:
-        self.compared = list(paths)
+    def compare(
+        self, paths: Any, out: Path, *, window_s: Any = None, progress: Any = None
+    ) -> list[dict[str, Any]]:
+        self.compared, self.window_s = list(paths), window_s
         (out / "metrics.json").write_text("[]")
         (out / "report.html").write_text("")
         progress(1.0)
@@ -130,6 +135,75 @@ def test_run_takes_a_scenario_file_and_separate(fake: Fake) -> None:
     assert mfpcc("run my.yaml --scheme mbpcc --separate") == 0
     assert fake.runs == [("my", "mbpcc", "ros", 0, True)]
     assert Path("out/my/report.html").is_file()
+
+
+def test_run_takes_other_values_than_the_file(fake: Fake) -> None:
+    assert (
+        mfpcc(
+            "run steady_750_2 --scheme mls_mfpcc --out one --set mls.window=10 --set load_torque=3"
+            " --set duration=0.3 --set window_s=[0.1,0.3] --set plant.fault.react=false"
+        )
+        == 0
+    )
+    (found,) = fake.scenarios
+    plant, controller = found.node_parameters("mls_mfpcc", 0)
+    assert controller["mls.window"] == 10 and controller["fault.react"] is True
+    assert plant["load_torque"] == 3.0 and plant["fault.react"] is False
+    assert (found.duration, found.window_s) == (0.3, (0.1, 0.3))
+    assert found.changes == {
+        "mls.window": 10,
+        "load_torque": 3.0,
+        "duration": 0.3,
+        "window_s": (0.1, 0.3),
+        "plant.fault.react": False,
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("mls.window=ten", "'mls.window' = 'ten' has the wrong type"),
+        ("mls.window=1000000", "out of range"),
+        ("mls.windw=10", "did you mean 'mls.window'"),
+        ("mismatch.L=2", "did you mean 'mismatch.inductance'"),
+        ("duraton=1", "did you mean 'duration'"),
+        ("duration=long", "'duration' should be a valid number"),
+        ("window_s=[0.1,9]", "'window_s' must be [start, end]"),
+        ("motor=seed_75", "did you mean 'seed_750'"),
+        ("fault.react=false", "'plant.fault.react' or 'controller.fault.react'"),
+        ("scheme=mbpcc", "--scheme"),
+        ("seed=3", "--seed"),
+        ("inverter.dead_time=6e-5", "shorter than half a PWM period"),
+        ("mls.window", "NAME=VALUE is expected"),
+        ("=3", "NAME=VALUE is expected"),
+    ],
+)
+def test_run_refuses_what_a_node_would_refuse(
+    fake: Fake, capsys: pytest.CaptureFixture[str], change: str, said: str
+) -> None:
+    assert mfpcc(f"run steady_750_2 --out one --set {change}") == 2
+    assert said in capsys.readouterr().err
+    assert not fake.runs and not Path("one").exists()
+
+
+@pytest.mark.parametrize("scheme", ["mls", "MLS"])
+def test_a_scheme_is_told_from_a_part_of_its_name(
+    fake: Fake, capsys: pytest.CaptureFixture[str], scheme: str
+) -> None:
+    assert mfpcc(f"run steady_750_2 --scheme {scheme} --out one") == 2
+    assert "did you mean 'mls_mfpcc'" in capsys.readouterr().err
+
+
+def test_compare_takes_a_window(fake: Fake, capsys: pytest.CaptureFixture[str]) -> None:
+    assert mfpcc("run steady_750_2 --scheme mbpcc --out one") == 0
+    assert fake.window_s is None
+    assert mfpcc("compare one --window 0.1 0.25 --out two") == 0
+    assert fake.window_s == (0.1, 0.25)
+    for window in ("0.2 0.1", "0.2 0.2", "-1 0.2", "0.1 inf", "nan 0.1"):
+        assert mfpcc(f"compare one --window {window} --out three") == 2
+        assert "0 <= BEGIN < END" in capsys.readouterr().err
+    assert mfpcc("compare one --window 0.1 soon --out three") == 2
+    assert not Path("three").exists()
 
 
 def test_compare_takes_bags_and_folders_of_bags(

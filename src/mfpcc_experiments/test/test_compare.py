@@ -135,6 +135,17 @@ def test_figures_of_recordings_that_lack_topics(make_bag, drive_messages, tmp_pa
     assert names == {"phase_currents", "i_dq", "spectrum"}
 
 
+def test_another_window_than_the_recorded_one(bags, tmp_path):
+    (row, *_) = compare.compare(bags[:1], tmp_path / "out", window_s=(0.15, 0.25))
+    assert row["window_s"] == [0.15, 0.25]
+    page = (tmp_path / "out/report.html").read_text()
+    assert "evaluated from 0.15 to 0.25 s" in page
+    for window in ((0.2, 7.0), (5.0, 6.0)):  # said of 100 periods, it would not be true
+        with pytest.raises(metrics.MetricsError, match="cannot be evaluated"):
+            compare.compare(bags[:1], tmp_path / "other", window_s=window)
+    assert not (tmp_path / "other").exists()
+
+
 def test_nothing_is_written_if_a_recording_is_no_good(bags, tmp_path):
     with pytest.raises(bag.BagError):
         compare.compare([*bags, tmp_path / "missing"], tmp_path / "out")

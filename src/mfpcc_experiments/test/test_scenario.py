@@ -9,7 +9,7 @@ import pytest
 
 from mfpcc_controller import motor as nominal_motor
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.running import scenario
+from mfpcc_experiments.running import run, scenario
 from pmsm_sim import motor
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import schedule, yaml_files
@@ -116,6 +116,39 @@ def test_a_section_wins_over_the_common_speed(tmp_path: Path) -> None:
     assert controller["speed_ref_rpm"] == 500.0
 
 
+def test_a_parameter_of_both_nodes_is_set_for_each(tmp_path: Path) -> None:
+    text = GOOD.replace("  load_torque: 2\n", "  fault.react: false\n  fault.overcurrent: 3\n")
+    text = text.replace("mismatch.inductance: 0.5", "fault.overcurrent: 2")
+    text = text.replace(
+        "load_torque: 5,", "plant.fault.react: true, controller.fault.react: false,"
+    )
+    plant, controller = scenario.load(write(tmp_path, text)).node_parameters("mbpcc", 0)
+    assert (plant["fault.react"], controller["fault.react"]) == (False, True)
+    assert (plant["fault.overcurrent"], controller["fault.overcurrent"]) == (3.0, 2.0)
+    assert schedule.parse(plant["schedule"], PLANT, 1e-4) == [(2000, {"fault.react": True})]
+    assert schedule.parse(controller["schedule"], CONTROLLER, 1e-4)[0] == (
+        2000,
+        {"fault.react": False, "speed_ref_rpm": 750.0},
+    )
+
+
+def test_changes_are_checked_as_the_file_is_and_stored(tmp_path: Path) -> None:
+    two_steps = scenario.load(write(tmp_path, GOOD))
+    other = scenario.changed(two_steps, ["load_torque=3", "motor=ipmsm", "load_torque = 4"])
+    assert (other.plant["load_torque"], other.motor) == (4.0, "ipmsm")
+    assert other.changes == {"load_torque": 4.0, "motor": "ipmsm"}
+    assert scenario.changed(two_steps, []) == two_steps
+    more = scenario.changed(other, ["controller.fault.overcurrent=2"])
+    assert more.controller["fault.overcurrent"] == 2.0
+    assert more.changes == {**other.changes, "controller.fault.overcurrent": 2.0}
+    stored = run.configuration(more, "mbpcc", "ros", 0)
+    assert stored["scenario"]["changes"] == more.changes
+    assert stored["parameters"]["pmsm_sim"]["load_torque"] == 4.0
+    # a step later than the new end
+    with pytest.raises(ParameterError, match=r"schedule\[1\].at"):
+        scenario.changed(two_steps, ["duration=0.3", "window_s=[0.1, 0.2]"])
+
+
 def test_it_is_the_same_after_being_stored_with_a_run(tmp_path: Path) -> None:
     two_steps = scenario.load(write(tmp_path, GOOD))
     assert scenario.Scenario.model_validate_json(two_steps.model_dump_json()) == two_steps
@@ -149,6 +182,12 @@ def test_it_is_the_same_after_being_stored_with_a_run(tmp_path: Path) -> None:
         ("load_torque: 5,", "oversampling: 5,", ["'schedule[0]'", "fixed at start"]),
         ("load_torque: 5,", "motor: ipmsm,", ["'schedule[0]'", "fixed at start"]),
         ("scheme: mfpcc", "scheme: mfpc", ["'schedule[1]'", "did you mean 'mfpcc'"]),
+        ("load_torque: 5,", "fault.react: false,", ["'plant.fault.react'", "both nodes"]),
+        ("load_torque: 5,", "plant.fault.reactt: true,", ["did you mean 'fault.react'"]),
+        ("  load_torque: 2\n", "  plant.load_torque: 2\n", ["here it is 'load_torque'"]),
+        ("  load_torque: 2\n", "  recorders: 2\n", ["'recorders' is set by what records"]),
+        ("mismatch.inductance", "mismatch.L", ["did you mean 'mismatch.inductance'"]),
+        ("duration: 0.5", "changes: {duration: 0.4}\nduration: 0.5", ["not for files"]),
         ("at: 0.2", "at: 0.5", ["'schedule[0].at'", "0 to 0.5 s"]),
         ("at: 0.2", "at: soon", ["'schedule[0]'", "at: SECONDS"]),
         ("at: 0.2, ", "", ["'schedule[0]'", "at: SECONDS"]),

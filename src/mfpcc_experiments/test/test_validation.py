@@ -6,10 +6,13 @@ from mfpcc_experiments import cli
 from mfpcc_experiments.proofs import validation
 
 
-def test_all_limits_are_kept_and_all_figures_drawn(tmp_path, capsys):
-    assert cli.run(["validate", "--out", str(tmp_path), "--duration", "0.002", "--no-costs"]) == 0
+def test_all_limits_are_kept_and_all_figures_drawn(tmp_path, capsys, monkeypatch):
+    (tmp_path / "docs/validation").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(["validate", "--duration", "0.002", "--no-costs"]) == 0
     assert "EXCEEDED" not in capsys.readouterr().out
-    assert {path.name for path in tmp_path.iterdir()} == {
+    assert not list((tmp_path / "docs/validation").iterdir())  # those are the project's
+    assert {path.name for path in (tmp_path / "out/validation").iterdir()} == {
         "blocked_gates.png",
         "dc_link.png",
         "dead_time.png",

@@ -21,7 +21,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
 
-from pwm_node import names, only_one, ros_parameters, schedule
+from pwm_node import only_one, ros_parameters, schedule
 from pwm_node.diagnostics import Level, Part, StepTimes
 from pwm_node.loop_topics import LoopPublisher, LoopSubscription
 from pwm_node.parameters import Parameter, ParameterError, Table, Value
@@ -149,7 +149,7 @@ class PwmNode(LifecycleNode):
             elif not (
                 self.has_parameter(name) or name in also_known or name.startswith("qos_overrides.")
             ):
-                raise ParameterError(names.unknown("parameter", name, self.table))
+                raise self.table.unknown(name)
         values = self.table.complete(changes)
         for name, parameter in self.table.items():
             self.declare_parameter(
@@ -175,7 +175,7 @@ class PwmNode(LifecycleNode):
             accepted = self._validate(parameter_list)
             for parameter in parameter_list:
                 if parameter.name not in self.table and not self.has_parameter(parameter.name):
-                    raise ParameterError(names.unknown("parameter", parameter.name, self.table))
+                    raise self.table.unknown(parameter.name)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=error.reason)
         return super().set_parameters_atomically(

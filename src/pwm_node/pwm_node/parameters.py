@@ -58,6 +58,8 @@ class Parameter:
         The accepted texts, if only some are.
     read_only : bool
         True if the value is fixed at start.
+    also : tuple of str
+        Other names that people try, such as its symbol; a message then says the right one.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Parameter:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    also: tuple[str, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -202,7 +205,7 @@ class Table(Mapping[str, Parameter]):
         try:
             return self._parameters[name]
         except KeyError:
-            raise ParameterError(names.unknown("parameter", name, self._parameters)) from None
+            raise self.unknown(name) from None
 
     def __contains__(self, name: object) -> bool:
         return name in self._parameters
@@ -212,6 +215,15 @@ class Table(Mapping[str, Parameter]):
 
     def __len__(self) -> int:
         return len(self._parameters)
+
+    def unknown(self, name: str) -> ParameterError:
+        """The error that there is no such parameter, with the one that is probably meant."""
+        return ParameterError(names.unknown("parameter", name, self, self.also))
+
+    @property
+    def also(self) -> dict[str, str]:
+        """Other names that people try, and the parameters they mean by them."""
+        return {other: p.name for p in self._parameters.values() for other in p.also}
 
     def defaults(self) -> dict[str, Value]:
         """Return a fresh dictionary of all default values."""

@@ -99,13 +99,35 @@ def load(path: Path | str, model: type[Model]) -> Model:
     if not isinstance(data, dict):
         raise FileError(f"{path}: expected 'key: value' lines, found {_describe(data)}")
     try:
+        return validated(data, model)
+    except FileError as error:
+        lines = str(error).splitlines()
+        raise FileError("\n".join(f"{path}: {line}" for line in lines)) from None
+
+
+def validated(data: dict[str, Any], model: type[Model]) -> Model:
+    """Make a model of what a file holds, or could hold.
+
+    Parameters
+    ----------
+    data : dict
+        Keys and values.
+    model : type
+        The pydantic model.
+
+    Raises
+    ------
+    FileError
+        With one line for each key that is wrong.
+    """
+    try:
         return model.model_validate(data)
     except pydantic.ValidationError as error:
         errors = error.errors(include_url=False)
         lines = [_explain(item, model) for item in errors[:_MOST_ERRORS]]
         if len(errors) > _MOST_ERRORS:
             lines.append(f"and {len(errors) - _MOST_ERRORS} more errors")
-        raise FileError("\n".join(f"{path}: {line}" for line in lines)) from None
+        raise FileError("\n".join(lines)) from None
 
 
 def available(kind: str) -> dict[str, Path]:

@@ -557,6 +557,11 @@ def cut(recording: Recording, window_s: Sequence[float] | None = None) -> Window
     first, last = int(feedback["period"][0]), int(feedback["period"][-1])
     if window_s is None:
         window_s = recording.window_s or (first * T_s, (last + 1) * T_s)
+    elif not (first - 0.5) * T_s < window_s[0] < window_s[1] < (last + 1.5) * T_s:
+        raise MetricsError(
+            f"{recording.path}: the recording goes from {first * T_s:g} to {(last + 1) * T_s:g} s; "
+            f"{window_s[0]:g} to {window_s[1]:g} s cannot be evaluated"
+        )
     rows = window_rows(feedback["period"], window_s, T_s)
     feedback = feedback[rows]
     if len(feedback) < 8:

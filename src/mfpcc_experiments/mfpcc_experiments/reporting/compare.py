@@ -22,7 +22,11 @@ _READING, _DRAWING = 0.6, 0.9
 
 
 def compare(
-    paths: Sequence[Path], out: Path, *, progress: Progress | None = None
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    window_s: Sequence[float] | None = None,
+    progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """
     Measure recordings and compare them.
@@ -33,6 +37,8 @@ def compare(
         Bags, in the order in which they shall appear.
     out : Path
         Folder for ``metrics.json``, ``figures/`` and ``report.html``; made if it is missing.
+    window_s : sequence of two floats, optional
+        Evaluation window of all (s); default: the one stored in each recording, else all of it.
     progress : callable, optional
         Told the share that is done, 0 to 1.
 
@@ -56,7 +62,7 @@ def compare(
         if progress is not None:
             progress(share)
 
-    runs = measure(paths, lambda share: tell(_READING * share))
+    runs = measure(paths, lambda share: tell(_READING * share), window_s)
     rows = [run.row for run in runs]
     out = Path(out)
     (out / "figures").mkdir(parents=True, exist_ok=True)
@@ -68,7 +74,11 @@ def compare(
     return rows
 
 
-def measure(paths: Sequence[Path], progress: Progress | None = None) -> list[Measured]:
+def measure(
+    paths: Sequence[Path],
+    progress: Progress | None = None,
+    window_s: Sequence[float] | None = None,
+) -> list[Measured]:
     """
     Read and measure recordings one after the other, so that only one is in memory at a time.
 
@@ -78,6 +88,8 @@ def measure(paths: Sequence[Path], progress: Progress | None = None) -> list[Mea
         Bags.
     progress : callable, optional
         Told the share that is done, 0 to 1.
+    window_s : sequence of two floats, optional
+        See `compare`.
 
     Returns
     -------
@@ -91,7 +103,7 @@ def measure(paths: Sequence[Path], progress: Progress | None = None) -> list[Mea
             if progress is not None:
                 progress((n + share) / len(paths))
 
-        parts.append(_measure_one(Path(path), tell))
+        parts.append(_measure_one(Path(path), tell, window_s))
     names = labels([part["row"] for part in parts], [Path(path) for path in paths])
     return [
         Measured(path=Path(path), label=name, **part)
@@ -99,11 +111,13 @@ def measure(paths: Sequence[Path], progress: Progress | None = None) -> list[Mea
     ]
 
 
-def _measure_one(path: Path, progress: Progress) -> dict[str, Any]:
+def _measure_one(
+    path: Path, progress: Progress, window_s: Sequence[float] | None
+) -> dict[str, Any]:
     found = recording.read(path, progress=progress)
     return {
-        "row": metrics.evaluate(found),
-        "window": metrics.cut(found),
+        "row": metrics.evaluate(found, window_s),
+        "window": metrics.cut(found, window_s),
         "signals": signals(found),
         "config": found.config,
     }

@@ -10,7 +10,7 @@ done by hand with `ros2 param set`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,17 +33,45 @@ _ELSEWHERE = {
     "periods": "follows from 'duration'",
     "scheme": "is chosen by --scheme when the experiment is run",
     "seed": "is chosen by --seed when the experiment is run",
+    "recorders": "is set by what records",
 }
 
+# Keys of the file that are no section: what may be said otherwise with `changed`.
+_KEYS = ("motor", "pwm_frequency", "speed_rpm", "duration", "window_s")
 
-def _owner(name: str) -> str:
-    """Which of the two nodes a parameter belongs to; an unknown name raises with the nearest."""
-    for part, table in _TABLES.items():
-        if name in table:
-            return part
-    raise ValueError(
-        unknown("parameter", name, [n for t in _TABLES.values() for n in t if n not in _ELSEWHERE])
-    )
+
+def _resolve(name: str, beside: Iterable[str] = ()) -> tuple[str, str]:
+    """
+    Which of the two nodes a parameter belongs to, and what that node calls it.
+
+    Parameters
+    ----------
+    name : str
+        As the node calls it, if only one of them has it; else `plant.NAME` or `controller.NAME`.
+    beside : iterable of str
+        What else could have been meant.
+
+    Raises
+    ------
+    ValueError
+        If there is none of this name, with the nearest; or if both nodes have one.
+    """
+    part, _, rest = name.partition(".")
+    if part in _TABLES and rest:
+        if rest not in _TABLES[part]:
+            raise ValueError(_TABLES[part].unknown(rest).reason)
+        return part, rest
+    parts = [part for part, table in _TABLES.items() if name in table]
+    if len(parts) > 1 and name not in _ELSEWHERE:
+        raise ValueError(
+            f"both nodes have a parameter '{name}': say which one is meant, "
+            + " or ".join(f"'{part}.{name}'" for part in parts)
+        )
+    if parts:
+        return parts[0], name
+    names = {n for table in _TABLES.values() for n in table if n not in _ELSEWHERE}
+    also = {other: n for table in _TABLES.values() for other, n in table.also.items()}
+    raise ValueError(unknown("parameter", name, names | set(beside), also))
 
 
 def _validated(part: str, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -61,9 +89,10 @@ def _section(part: str) -> AfterValidator:
         for name in values:
             if name in _ELSEWHERE:
                 raise ValueError(f"'{name}' {_ELSEWHERE[name]}")
-            owner = _owner(name)
-            if owner != part:
-                raise ValueError(f"'{name}' is a parameter of the {owner}: move it to '{owner}'")
+            if name not in _TABLES[part]:
+                owner, parameter = _resolve(name)
+                where = f"move it to '{owner}'" if owner != part else f"here it is '{parameter}'"
+                raise ValueError(f"'{name}' is a parameter of the {owner}: {where}")
         return _validated(part, values)
 
     return AfterValidator(check)
@@ -76,10 +105,10 @@ def _check_change(change: dict[str, Any]) -> dict[str, Any]:
         raise ValueError("the time is missing or no number; expected {at: SECONDS, NAME: VALUE}")
     checked: dict[str, Any] = {"at": float(at)}
     for name in (key for key in change if key != "at"):
-        owner = _owner(name)
-        if _TABLES[owner][name].read_only:
+        owner, parameter = _resolve(name)
+        if _TABLES[owner][parameter].read_only:
             raise ValueError(f"'{name}' is fixed at start: it cannot be in the schedule")
-        checked.update(_validated(owner, {name: change[name]}))
+        checked[name] = _validated(owner, {parameter: change[name]})[parameter]
     if len(checked) == 1:
         raise ValueError("it changes nothing; expected {at: SECONDS, NAME: VALUE}")
     return checked
@@ -118,7 +147,10 @@ class Scenario(BaseModel):
     plant, controller : dict
         What differs from the defaults of the simulator's and the controller's parameters.
     schedule : list of dict
-        Changes while it runs: `at` (s) and the parameters' new values.
+        Changes while it runs: `at` (s) and the parameters' new values. A parameter that both nodes
+        have is named `plant.NAME` or `controller.NAME`.
+    changes : dict
+        What a run was to do otherwise than the file says (see `changed`); not in a file.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -133,6 +165,7 @@ class Scenario(BaseModel):
     plant: Annotated[dict[str, Any], _section("plant")] = {}
     controller: Annotated[dict[str, Any], _section("controller")] = {}
     schedule: list[Annotated[dict[str, Any], AfterValidator(_check_change)]] = []
+    changes: dict[str, Any] = {}
 
     @model_validator(mode="after")
     def _check_times(self) -> Scenario:
@@ -202,10 +235,12 @@ class Scenario(BaseModel):
     def _entries(self, part: str) -> list[str]:
         """The schedule of one node as its parameter wants it: 'SECONDS NAME VALUE'."""
         return [
-            f"{change['at']!r} {name} {_yaml_scalar(value)}"
+            f"{change['at']!r} {parameter} {_yaml_scalar(value)}"
             for change in self.schedule
             for name, value in change.items()
-            if name != "at" and _owner(name) == part
+            if name != "at"
+            for owner, parameter in [_resolve(name)]
+            if owner == part
         ]
 
 
@@ -231,4 +266,55 @@ def load(name_or_path: str | Path) -> Scenario:
     """
     path = yaml_files.find("experiments", name_or_path)
     scenario = yaml_files.load(path, Scenario)
+    if scenario.changes:
+        raise yaml_files.FileError(
+            f"{path}: 'changes' is not for files: write the values into 'plant' and 'controller'"
+        )
     return scenario if scenario.name else scenario.model_copy(update={"name": path.stem})
+
+
+def changed(scenario: Scenario, changes: Iterable[str]) -> Scenario:
+    """
+    The scenario with other values than its file says.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What the file says.
+    changes : iterable of str
+        NAME=VALUE each, as on a command line: a key of the file (`duration=0.5`,
+        `window_s=[0.1, 0.5]`) or a parameter of one of the nodes (`mls.window=10`), with `plant.`
+        or `controller.` before it if both have it. Of several for one name the last counts.
+
+    Raises
+    ------
+    pwm_node.parameters.ParameterError
+        If a name or a value is not acceptable, by the rules of the file and of the node.
+    """
+    values = scenario.model_dump()
+    places: dict[str, tuple[str, str]] = {}
+    for text in changes:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not (name and equals):
+            raise ParameterError(f"'{text}': NAME=VALUE is expected")
+        if name in _KEYS:
+            values[name] = value.strip("[]").split(",") if name == "window_s" else value
+            places[name] = "", name
+            continue
+        if name in _ELSEWHERE:
+            raise ParameterError(f"'{name}' {_ELSEWHERE[name]}")
+        try:
+            part, parameter = _resolve(name, _KEYS)
+        except ValueError as error:
+            raise ParameterError(str(error)) from None
+        values[part][parameter] = _TABLES[part][parameter].parse(value)
+        places[name] = part, parameter
+    try:
+        found = yaml_files.validated(values, Scenario)
+    except yaml_files.FileError as error:
+        raise ParameterError(str(error)) from None
+    told = {
+        name: getattr(found, part)[key] if part else getattr(found, key)
+        for name, (part, key) in places.items()
+    }
+    return found.model_copy(update={"changes": {**scenario.changes, **told}})

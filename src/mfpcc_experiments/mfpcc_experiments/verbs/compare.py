@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,18 @@ import click
     show_default=True,
     help="Folder for the results.",
 )
+@click.option(
+    "--window",
+    "window_s",
+    type=float,
+    nargs=2,
+    metavar="BEGIN END",
+    help="Time to evaluate (s), in all recordings.  [default: each recording's own]",
+)
 @click.option("--force", is_flag=True, help="Replace results that are there already.")
-def command(bags: tuple[Path, ...], out: Path, force: bool) -> None:
+def command(
+    bags: tuple[Path, ...], out: Path, window_s: tuple[float, float] | None, force: bool
+) -> None:
     """Compare recordings: a table, and metrics.json, report.html and figures in a folder.
 
     BAG is a recording (its folder or its .mcap file), or a folder with recordings in it, as
@@ -31,10 +42,17 @@ def command(bags: tuple[Path, ...], out: Path, force: bool) -> None:
     from mfpcc_experiments.progress import progress_bar
     from mfpcc_experiments.reporting import compare
 
+    if window_s is not None and not 0.0 <= window_s[0] < window_s[1] < math.inf:
+        raise click.UsageError(
+            f"--window {window_s[0]:g} {window_s[1]:g}: 0 <= BEGIN < END is expected (s)",
+            click.get_current_context(),
+        )
     recordings = [recording for bag in bags for recording in _recordings(bag)]
     with result_folder(out, force=force) as folder:
         with progress_bar() as begin:
-            rows = compare.compare(recordings, folder, progress=begin("compare", 1.0))
+            rows = compare.compare(
+                recordings, folder, window_s=window_s, progress=begin("compare", 1.0)
+            )
     conclude(rows, out)
 
 

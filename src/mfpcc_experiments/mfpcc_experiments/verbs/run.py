@@ -40,6 +40,14 @@ ENGINES = ("ros", "inprocess")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all noise."
 )
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Another value than the experiment's for one of its keys or for a parameter of a node, "
+    "such as duration=0.5 or mls.window=10; may be given several times.",
+)
 @click.option("--force", is_flag=True, help="Replace results that are there already.")
 def command(
     experiment: str,
@@ -48,6 +56,7 @@ def command(
     separate: bool,
     out: Path | None,
     seed: int,
+    changes: tuple[str, ...],
     force: bool,
 ) -> None:
     """Run EXPERIMENT (a name of `mfpcc list`, or a file) once per scheme, and compare.
@@ -75,6 +84,7 @@ def command(
     wanted = scenario.load(path)
     schemes = tuple(dict.fromkeys(schemes)) or SCHEMES
     try:
+        wanted = scenario.changed(wanted, changes)
         for scheme in schemes:
             wanted.node_parameters(scheme, seed)
     except ParameterError as error:

@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 
 
-@click.command(short_help="Prove the simulated drive, and draw docs/validation.")
+@click.command(short_help="Prove the simulated drive, with figures.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    default=Path("docs/validation"),
+    default=Path("out/validation"),
     show_default=True,
     help="Folder of the figures.",
 )
@@ -26,7 +26,8 @@ import click
 def command(out: Path, duration: float, costs: bool) -> None:
     """Hold the simulated drive against an independent integration and against theory.
 
-    Draws the figures of docs/validation.md; the exit code is 1 if a limit is not kept.
+    The exit code is 1 if a limit is not kept. Those of docs/validation.md are drawn with
+    --out docs/validation.
     """
     from rich.console import Console
     from rich.table import Table
