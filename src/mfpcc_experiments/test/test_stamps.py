@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments import recording
-from mfpcc_experiments.bag import BagWriter
-from mfpcc_experiments.engine import Engine
-from mfpcc_experiments.run import write_trace
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.bags.bag import BagWriter
+from mfpcc_experiments.running.engine import Engine
+from mfpcc_experiments.running.run import write_trace
 from pmsm_sim.parameters import TABLE as PLANT
 
 
