@@ -371,8 +371,11 @@ class Controller:
             value = float(guard["value"][bit])
             if bit == protection.SCHEME and value > 0.0:
                 text = protection.OVERRUN
+            text = text.format(value=value)
+            if bit == protection.SCHEME and value == 0.0 and self.complaint:
+                text = self.complaint
             if int(guard["faults"]) >> bit & 1:
-                found.append((code, int(guard["at"][bit]), text.format(value=value)))
+                found.append((code, int(guard["at"][bit]), text))
         return sorted(found, key=lambda fault: fault[1])
 
     @property

@@ -64,6 +64,8 @@ def messages(
         state.fixed["torque"] = 2.5
         state.fixed["angle"] = theta_M[0] % (2 * np.pi)
         state.fixed["speed"] = w_M
+        state.fixed["gates_on"] = True
+        state.fixed["temperature"] = 20.0
         if oversampling:
             state.tail["i_abc_oversampled"][:] = i_abc.ravel()
             state.tail["legs_oversampled"][:] = k % 8

@@ -231,7 +231,7 @@ def test_a_real_run_in_process(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("short.yaml").write_text(
-        "motor: seed_750\nspeed_rpm: 750\nduration: 0.08\nwindow_s: [0.04, 0.08]\n"
+        "motor: seed_750\nspeed_rpm: 750\nduration: 0.2\nwindow_s: [0.15, 0.2]\n"
         "plant: {load_torque: 2.0, oversampling: 20}\n"
     )
     line = "run short.yaml --scheme mbpcc --scheme mls_mfpcc --engine inprocess --seed 5"
@@ -241,7 +241,7 @@ def test_a_real_run_in_process(
     assert [row["scheme"] for row in rows] == ["mbpcc", "mls_mfpcc"]
     for row in rows:
         assert (row["experiment"], row["engine"], row["seed"]) == ("short", "inprocess", 5)
-        assert (row["periods"], row["lost_periods"]) == (800, 0)
+        assert (row["periods"], row["lost_periods"]) == (2000, 0)
         assert 0.1 < row["thd_percent"]["oversampled"] < 5
     # What was the working folder's name must not be in what stays.
     assert (out / "report.html").stat().st_size > 10_000

@@ -154,13 +154,41 @@ def test_window_rows():
     assert metrics.window_rows(period, (0.0, 10.0), T_S) == slice(0, 300)
 
 
-def test_amplitude_by_electrical_period():
+def test_the_mean_over_an_electrical_period_moves_with_the_state_only():
     theta = angle(2050, 50.0)
     ripple = 0.5 * np.exp(7j * theta)  # vanishes over each period
     i_dq = np.where(np.arange(2050) < 1000, 2.0, 3.0) * np.exp(0.4j) + ripple
-    assert metrics.amplitudes(i_dq, theta) == pytest.approx([2.0] * 5 + [3.0] * 5)
+    means = metrics.period_means(i_dq, theta)
+    assert len(means) == 2050 - 200 + 1
+    assert means[:800] == pytest.approx(np.full(800, 2.0 * np.exp(0.4j)))
+    assert means[1000:] == pytest.approx(np.full(851, 3.0 * np.exp(0.4j)))
+    assert means[900] == pytest.approx(2.5 * np.exp(0.4j))
     assert not metrics.is_steady(i_dq, theta)
     assert metrics.is_steady(i_dq[:1000], theta[:1000])
+
+
+@pytest.mark.parametrize("begin", [60, 700, 1940])
+def test_a_change_of_the_current_is_seen_wherever_it_is(begin):
+    theta = angle(2000, 50.0)
+    i_dq = np.full(2000, 4j)
+    i_dq[begin:] *= 1.5 if begin < 1900 else 3.0
+    assert not metrics.is_steady(i_dq, theta)
+    assert not metrics.is_steady(1e-3 * i_dq, theta)  # of a small motor, too
+
+
+def test_a_window_of_one_electrical_period_cannot_be_judged():
+    assert not metrics.can_be_judged(angle(299, 50.0))
+    assert metrics.can_be_judged(angle(300, 50.0))
+    assert metrics.can_be_judged(np.zeros(400))  # at standstill time has to do
+    assert not metrics.can_be_judged(np.zeros(100))
+
+
+def test_blocked_gates_do_not_switch():
+    duty, on = np.full((1000, 3), 0.5), np.ones(1000, bool)
+    on[500:] = False
+    assert metrics.switching_frequency(duty, T_S, on) == pytest.approx(5e3)
+    assert metrics.switching_frequency(duty, T_S, ~on | True) == pytest.approx(10e3)
+    assert metrics.switching_frequency(duty, T_S, on & False) == 0.0
 
 
 def make_window(n=2000, factor=5, seed=3):
@@ -212,8 +240,7 @@ def test_scatter_tells_how_sure_a_figure_is():
     assert "lut_error_max.q" in found["mean"]
 
 
-def test_a_transient_has_no_parts():
-    w = make_window()
-    w.i_dq[1000:] *= 2
+def test_a_window_of_few_periods_has_no_parts():
+    w = make_window(n=600)
     assert metrics.parts(w) == []
     assert metrics.scatter(w) == {"parts": 0, "mean": {}, "std": {}}

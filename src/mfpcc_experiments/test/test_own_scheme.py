@@ -97,4 +97,4 @@ def test_the_command_on_the_page_works(environment, tmp_path):
     rows = json.loads((out / "metrics.json").read_text())
     assert [row["scheme"] for row in rows] == ["slow_deadbeat", "mls_mfpcc"]
     assert rows[0]["lost_periods"] == 0
-    assert rows[0]["ripple_rms"]["d"] < 0.1
+    assert rows[0]["deviation_rms"]["d"] < 0.1

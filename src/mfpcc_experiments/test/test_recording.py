@@ -137,8 +137,13 @@ def test_a_late_recorder_finds_one_topic_after_the_other(make_bag, drive_message
     found = recording.read(make_bag(source=source))
     assert found.lost_periods == 0 and found.notes == []
     assert found.feedback["period"][[0, -1]].tolist() == [2500, 4999]
-    row = metrics.evaluate(found)
+    row = metrics.evaluate(found, (0.25, 0.5))
     assert row["lut_error_max"] == {"d": 0.05, "q": 0.1}
+    # of the window that is stored, three quarters were before the recorder
+    row = metrics.evaluate(found)
+    assert row["lut_error_max"] == {"d": None, "q": None}
+    text = "1500 of the 2000 periods of the window are missing in phase_feedback"
+    assert any(text in note["text"] for note in row["notes"])
 
 
 # --- Files that are not as they should be ---

@@ -36,6 +36,8 @@ _AT_ONCE = 1000  # periods without an answer
 # A sample is taken within this time (s), or a few more have come: a queue of ten takes them.
 _TAKEN_WITHIN = 5e-4
 _ROTOR_RATE = 100.0  # Hz of simulated time
+# A pace that is kept within this share is kept.
+_PACE_KEPT = 0.98
 _START_CONTROLLER = "ros2 run mfpcc_controller controller"
 
 
@@ -60,6 +62,7 @@ class PmsmSim(PwmNode):
         self._pace: Timer | None = None
         self._rest: Timer | None = None
         self._overruns = 0
+        self._told_tick: tuple[float, int] | None = None
 
     # Life cycle -----------------------------------------------------------------------------
 
@@ -261,17 +264,19 @@ class PmsmSim(PwmNode):
     def _set_pace(self, factor: float | None) -> None:
         if self._pace is not None:
             self.destroy_timer(self._pace)
-            self._pace = None
+            self._pace = self._told_tick = None
         if factor is not None:
             self._tick_s = 1.0 / (self.values["pwm_frequency"] * factor)
-            self._next_tick = time.monotonic() + self._tick_s
+            self._paced_from = self._ticked_at = time.monotonic(), self.period
+            self._next_tick = self._paced_from[0] + self._tick_s
             self._pace = self.create_timer(
                 self._tick_s, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
 
     def _on_tick(self) -> None:
         """Begin a period, whether or not its command is there."""
-        late = time.monotonic() - self._next_tick
+        now = time.monotonic()
+        late = now - self._next_tick
         self._next_tick += self._tick_s
         if late > self._tick_s:
             # whole periods of wall time went by: leave them out and keep phase, no catching up
@@ -279,7 +284,39 @@ class PmsmSim(PwmNode):
             self._overruns += skipped
             self._next_tick += skipped * self._tick_s
         self._advance()
+        self._ticked_at = now, self.period
         self.missed_periods = int(self.core.st["missed"][0])
+
+    @property
+    def pace(self) -> dict[str, float] | None:
+        """The `real_time_factor` asked for, and the one achieved since; None in lock-step."""
+        if self._pace is None:
+            return None
+        return {
+            "asked": self.values["real_time_factor"],
+            "achieved": self._factor(self._paced_from, self._ticked_at),
+        }
+
+    def _factor(self, begin: tuple[float, int], end: tuple[float, int]) -> float:
+        """Simulated time over the clock's, between two ticks: when, and which period."""
+        simulated = (end[1] - begin[1]) / self.values["pwm_frequency"]
+        passed = end[0] - begin[0]
+        return float(simulated / passed if passed > 0.0 else self.values["real_time_factor"])
+
+    def _pace_part(self) -> Part:
+        """Tell whether the pace was kept since this was told last."""
+        begin, self._told_tick = self._told_tick or self._paced_from, self._ticked_at
+        asked, achieved = self.values["real_time_factor"], self._factor(begin, self._ticked_at)
+        kept = achieved >= _PACE_KEPT * asked
+        return Part(
+            "pace",
+            "kept" if kept else f"falls behind: {achieved:.3g} achieved of {asked:.3g}",
+            Level.OK if kept else Level.WARN,
+            {
+                "real-time factor asked for": asked,
+                "real-time factor achieved": achieved,
+            },
+        )
 
     # Injected faults ------------------------------------------------------------------------
 
@@ -330,6 +367,8 @@ class PmsmSim(PwmNode):
                 "load torque (N m)": self.values["load_torque"],
             },
         )
+        if self._pace is not None:
+            yield self._pace_part()
         if self._injects:
             lines = self.core.injections()
             yield Part(

@@ -81,6 +81,8 @@ class PwmNode(LifecycleNode):
     changes : deque of dict
         The latest changes of parameters since the start (period, name, value, and what it `was`
         before), the scheduled ones too.
+    latched : deque of (str, int, str)
+        The latest faults since the start, cleared ones too: code, period, what was seen.
     missed_periods, lost_periods : int
         Totals for the diagnostics; the subclass counts.
     finished : Future
@@ -110,6 +112,7 @@ class PwmNode(LifecycleNode):
         self.period = -1
         self.awaited: LoopSubscription | None = None
         self.changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES_KEPT)
+        self.latched: deque[tuple[str, int, str]] = deque(maxlen=_CHANGES_KEPT)
         self.missed_periods = 0
         self.lost_periods = 0
         self.step_times = StepTimes()

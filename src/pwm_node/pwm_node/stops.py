@@ -40,8 +40,8 @@ class Stops:
     Parameters
     ----------
     node : Node
-        It has the core, which may be replaced at any time, in `core`, and `tell_status()`, which
-        is called after each request.
+        It has the core, which may be replaced at any time, in `core`; `tell_status()`, which is
+        called after each request; and the list `latched`, to which each new fault is added.
     returns_after : str
         What brings the power back after the faults were cleared, for people.
     """
@@ -74,6 +74,7 @@ class Stops:
         faults = self._core.faults()
         for code, period, detail in faults:
             if (code, period) not in self._known:
+                self._node.latched.append((code, period, detail))
                 then = self._consequence()
                 self._node.get_logger().error(f"{code} in period {period}: {detail}; {then}")
         self._known = {(code, period) for code, period, _ in faults}

@@ -35,6 +35,7 @@ from mfpcc_experiments.bags.bag import BagWriter
 from mfpcc_experiments.graph import black_box
 from mfpcc_experiments.graph.black_box import BlackBoxNode
 from mfpcc_experiments.graph.recorder import Recorder, sink
+from mfpcc_experiments.measuring.happened import latched
 from mfpcc_experiments.progress import Tell
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.parameters import TABLE as PLANT
@@ -98,7 +99,7 @@ def record_composed(config: Mapping[str, Any], path: Path, periods: int, progres
             begin = time.monotonic()
             code = spin.run(nodes, until=Future())
             wall = time.monotonic() - begin
-            done = max(plant.period, 0)
+            done, pace = max(plant.period, 0), plant.pace
             median, p99 = controller.step_times.percentiles(50, 99)
             writer.close(
                 {
@@ -106,6 +107,8 @@ def record_composed(config: Mapping[str, Any], path: Path, periods: int, progres
                     "lost_periods": controller.lost_periods,
                     "missed_periods": plant.missed_periods,
                     "parameter_changes": _changes(nodes),
+                    "faults": _latched(nodes),
+                    "real_time_factor": pace,
                     "wall_s": wall,
                 }
             )
@@ -250,6 +253,11 @@ def record_separate(config: Mapping[str, Any], path: Path, periods: int, progres
                     *_changes([plant]),
                     *(c for c in recorder.parameter_changes if c["node"] != plant.get_name()),
                 ],
+                "faults": [
+                    *_latched([plant]),
+                    *(f for f in recorder.latched if f["node"] != plant.get_name()),
+                ],
+                "real_time_factor": plant.pace,
                 "wall_s": wall,
             }
         )
@@ -346,6 +354,11 @@ def _judge(done: int, periods: int, trouble: str) -> None:
 def _changes(nodes: Sequence[PwmNode]) -> list[dict[str, Any]]:
     """Parameters that changed while it ran: period, node, name, value."""
     return [{"node": node.get_name(), **change} for node in nodes for change in node.changes]
+
+
+def _latched(nodes: Sequence[PwmNode]) -> list[dict[str, Any]]:
+    """Faults that came while it ran."""
+    return [fault for node in nodes for fault in latched(node.get_name(), node.latched)]
 
 
 def _values(config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

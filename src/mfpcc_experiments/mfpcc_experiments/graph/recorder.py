@@ -16,6 +16,7 @@ import mfpcc_msgs.msg
 import rclpy
 import rclpy.utilities
 from diagnostic_msgs.msg import DiagnosticArray
+from mfpcc_msgs.msg import DriveStatus
 from rcl_interfaces.msg import ParameterEvent, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.clock import Clock
@@ -23,6 +24,7 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import (
+    DurabilityPolicy,
     HistoryPolicy,
     QoSProfile,
     ReliabilityPolicy,
@@ -34,6 +36,7 @@ from rclpy.task import Future
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
 from mfpcc_experiments.graph.black_box import BlackBox
+from mfpcc_experiments.measuring.happened import latched
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import ros_parameters, spin, stamps
 
@@ -43,6 +46,9 @@ _KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPo
 # What has come is taken at this interval: to be woken for each message would cost as much again as
 # writing it, and nobody waits for a recorder.
 _TAKE_EVERY = 0.005  # s
+
+# Both nodes tell theirs on one topic, and who comes late is told what is.
+_EVERY_STATUS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 _ASK_EVERY = 0.05  # s
 
@@ -152,6 +158,8 @@ class Recorder(Node):
         Messages missing on each topic.
     drive : dict of RemoteNode
         The drive's nodes, by name.
+    latched : list of dict
+        Faults that they told, as they are stored with a recording.
     error : BagError or None
         Why the recording cannot go on; the run of this process ends then.
     finished : Future
@@ -170,6 +178,7 @@ class Recorder(Node):
         self.last_period = dict.fromkeys(LOOP_TOPICS, -1)
         self.gaps = dict.fromkeys(LOOP_TOPICS, 0)
         self.drive = {name: RemoteNode() for name in _DRIVE_NODES}
+        self.latched: list[dict[str, Any]] = []
         self.error: BagError | None = None
         self.finished = Future()
         self._steps: dict[str, int] = {}
@@ -188,6 +197,7 @@ class Recorder(Node):
         self._events = self.create_subscription(
             ParameterEvent, "/parameter_events", _never, qos_profile_parameter_events
         )
+        self.create_subscription(DriveStatus, "drive_status", self._on_status, _EVERY_STATUS)
         self.create_timer(_TAKE_EVERY, self.take_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if black_box is not None:
             self._ask_the_drive()
@@ -268,6 +278,11 @@ class Recorder(Node):
             self._steps[topic] = step
         else:
             self.gaps[topic] += step // known - 1
+
+    def _on_status(self, message: DriveStatus) -> None:
+        """Keep the faults that are new: those of before this recorder too, if they last."""
+        told = [(fault.code, int(fault.period), fault.detail) for fault in message.faults]
+        self.latched += [f for f in latched(message.node, told) if f not in self.latched]
 
     def _on_event(self, event: ParameterEvent, sent_at: int) -> None:
         namespace, _, name = event.node.rpartition("/")

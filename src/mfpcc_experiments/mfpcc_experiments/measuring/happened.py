@@ -8,7 +8,7 @@ tell why. `notes` says it in sentences, the same ones wherever a result is shown
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -405,6 +405,23 @@ def _offs(recording: Recording) -> tuple[Off, ...]:
         Off(int(period[begin]), int(period[end - 1]) + 1, bool(commanded_off[begin]))
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
     )
+
+
+def latched(node: str, faults: Iterable[tuple[str, int, str]]) -> list[dict[str, Any]]:
+    """
+    Faults as they are stored with a recording.
+
+    Parameters
+    ----------
+    node : str
+        Who latched them.
+    faults : iterable of (str, int, str)
+        Code, period of the first occurrence, what was seen.
+    """
+    return [
+        {"node": node, "code": code, "period": period, "detail": detail}
+        for code, period, detail in faults
+    ]
 
 
 def _faults(recording: Recording) -> tuple[Fault, ...]:

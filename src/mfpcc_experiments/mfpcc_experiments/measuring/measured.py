@@ -14,8 +14,16 @@ from mfpcc_experiments.bags.recording import Recording
 from mfpcc_experiments.measuring import metrics
 from mfpcc_experiments.measuring.happened import scheme_title
 
-#: Colours of Okabe and Ito, told apart by everybody, in an order that keeps their distance.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+#: Colours of Okabe and Ito, told apart by everybody, in an order that keeps their distance; and two
+#: of Tol's, for a ninth scheme.
+COLOURS = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#882255",
+    "#999933",
+)  # fmt: skip
+
+#: Marks that tell recordings apart where colours do not, as in a grey print. Their number has no
+#: factor in common with that of the colours, so that ninety recordings differ in one or the other.
+MARKS = "●■▲▼◆✚✖★◀▶"
 
 
 @dataclass(frozen=True)

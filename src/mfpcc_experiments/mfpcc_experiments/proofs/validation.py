@@ -135,7 +135,7 @@ class Bench:
         enable: bool = True,
     ) -> Trace:
         """Apply the duties for so many periods."""
-        trace = Trace.empty(periods, self._n, "")
+        trace = Trace.empty(periods, self._n, "", "")
         st = self.plant.st
         for k in range(periods):
             st["duty"] = duty(int(st["period"][0])).reshape(1, 3)

@@ -201,6 +201,8 @@ COLUMNS: tuple[tuple[str, str, tuple[str, ...], bool], ...] = (
     ("Ripple q, peak to peak", "A", ("ripple_pp", "q"), True),
     ("Ripple d, rms", "A", ("ripple_rms", "d"), True),
     ("Ripple q, rms", "A", ("ripple_rms", "q"), True),
+    ("Deviation d, rms", "A", ("deviation_rms", "d"), True),
+    ("Deviation q, rms", "A", ("deviation_rms", "q"), True),
     ("LUT error d, max", "A", ("lut_error_max", "d"), True),
     ("LUT error q, max", "A", ("lut_error_max", "q"), True),
     ("LUT error d, rms", "A", ("lut_error_rms", "d"), True),
@@ -234,6 +236,11 @@ def value(row: dict[str, Any], key: Sequence[str]) -> Any:
     return found
 
 
+# Above the first a figure has at most three decimals; below it, as many as it needs: the currents
+# of a small motor are milliamperes. Below the second it is nothing.
+_SMALL, _NOTHING = 0.01, 5e-4
+
+
 def text(row: dict[str, Any], key: Sequence[str], unit: str = "") -> str:
     """
     Print a figure of a row with three significant digits.
@@ -254,10 +261,12 @@ def text(row: dict[str, Any], key: Sequence[str], unit: str = "") -> str:
         return str(number)
     if unit == "kHz":
         number *= 1e-3
-    if abs(number) < 5e-4:
+    if abs(number) < _NOTHING:
         return "0.000"
     digits = max(0, 2 - math.floor(math.log10(abs(number))))
-    return f"{number:.{min(digits, 3) if abs(number) < 100 else 1}f}"
+    if abs(number) >= _SMALL:
+        digits = min(digits, 3)
+    return f"{number:.{digits if abs(number) < 100 else 1}f}"
 
 
 def print_table(rows: Sequence[dict[str, Any]]) -> None:
@@ -303,8 +312,8 @@ def _side_by_side(names: Sequence[str], width: int) -> list[slice]:
     left = width - max(len(title) for title, *_ in COLUMNS) - 2 - max(len(c[1]) for c in COLUMNS)
     blocks, start, used = [], 0, 0
     for n, name in enumerate(names):
-        # a figure has up to six characters; two keep the columns apart
-        needed = max(6, len(name)) + 2
+        # a figure has up to nine characters; two keep the columns apart
+        needed = max(9, len(name)) + 2
         if n > start and used + needed > left:
             blocks.append(slice(start, n))
             start, used = n, 0

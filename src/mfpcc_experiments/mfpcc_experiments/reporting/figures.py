@@ -28,6 +28,9 @@ REFERENCE = "#000000"
 #: Electrical periods shown of the phase currents: in a steady state, and around a transient.
 STEADY_PERIODS, TRANSIENT_PERIODS = 2.0, 5.0
 
+#: Columns side by side in a figure; more of them go on below.
+MOST_COLUMNS = 4
+
 #: What all figures are drawn with: `with mpl.rc_context(STYLE)`.
 STYLE: Any = {
     "font.size": 8.0,
@@ -94,7 +97,9 @@ def panels(
     titles: Sequence[str], rows: Sequence[str], height: float, x_label: str
 ) -> tuple[Figure, list[list[Axes]]]:
     """
-    One column per title, one row per quantity; scales are shared within a row.
+    One column per title, one row per quantity; rows of more columns than a page is wide for wrap.
+
+    The scale of a quantity is the same in all columns; the time is each column's own.
 
     Parameters
     ----------
@@ -111,22 +116,41 @@ def panels(
     -------
     figure : Figure
     axes : list of list of Axes
-        By row and column.
+        By row and title.
     """
     n = len(titles)
-    width = max(3.5, 0.45 + 2.25 * n)
+    blocks = -(-n // MOST_COLUMNS)
+    columns = -(-n // blocks)
+    width = max(3.5, 0.45 + 2.25 * columns)
+    tall = 0.75 + height * len(rows) + (blocks - 1) * (0.45 + height * len(rows))
     layout = ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, wspace=0.06)
-    figure = Figure(figsize=(width, 0.75 + height * len(rows)), layout=layout)
-    axes = figure.subplots(len(rows), n, sharex="all", sharey="row", squeeze=False)
-    for row, label in enumerate(rows):
-        axes[row][0].set_ylabel(label)
-        axes[row][0].yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+    figure = Figure(figsize=(width, tall), layout=layout)
+    grid = figure.subplots(blocks * len(rows), columns, squeeze=False)
+    axes: list[list[Axes]] = [[] for _ in rows]
+    for place in range(blocks * columns):
+        block, column = divmod(place, columns)
+        cells = grid[block * len(rows) : (block + 1) * len(rows), column]
+        if place >= n:
+            for axis in cells:
+                axis.remove()
+            continue
+        for row, (axis, label) in enumerate(zip(cells, rows, strict=True)):
+            if place == 0:
+                axis.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+            else:
+                axis.sharey(axes[row][0])
+            if row == 0:
+                axis.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+                axis.set_title(_wrapped(titles[place]))
+            else:
+                axis.sharex(cells[0])
+            if column == 0:
+                axis.set_ylabel(label)
+            axis.tick_params(labelleft=column == 0, labelbottom=row == len(rows) - 1)
+            axes[row].append(axis)
+        cells[-1].set_xlabel(x_label)
     figure.align_ylabels()
-    for column, title in enumerate(titles):
-        axes[0][column].set_title(_wrapped(title))
-        axes[-1][column].set_xlabel(x_label)
-        axes[-1][column].xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    return figure, [list(line) for line in axes]
+    return figure, axes
 
 
 def _titles(runs: Sequence[Measured]) -> list[str]:
@@ -159,6 +183,10 @@ def limits(axes: Sequence[Axes], values: Sequence[Any], *, top: float = 0.2) -> 
     span = (high - low) or max(abs(high), 1.0) * 0.1
     for axis in axes:
         axis.set_ylim(low - 0.06 * span, high + top * span)
+
+
+#: In the place of a figure that is not given.
+NO_FIGURE = "no figure: see the notes"
 
 
 def format_value(value: float | None, unit: str) -> str:
@@ -199,11 +227,13 @@ def phase_currents(runs: Sequence[Measured]) -> Figure:
 
 
 def _transient(w: metrics.Window) -> float:
-    """Time of the largest change of the amplitude (s)."""
-    amplitude = metrics.amplitudes(w.i_dq, w.theta)
-    period = (w.time[-1] - w.time[0]) * metrics.TWO_PI / abs(w.theta[-1] - w.theta[0])
-    # A change within a period shows in the difference to the next one, so begin half way in it.
-    return float(w.time[0] + (np.argmax(np.abs(np.diff(amplitude))) + 0.5) * period)
+    """Time of the largest change of the current from one electrical period to the next (s)."""
+    means = metrics.period_means(w.i_dq, w.theta)
+    samples = len(w.time) - len(means)  # of about one period, which each mean looks ahead
+    if len(means) <= samples or samples == 0:
+        return float(w.time[0])
+    change = np.abs(means[samples:] - means[:-samples])
+    return float(w.time[int(np.argmax(change)) + samples])
 
 
 def i_dq(runs: Sequence[Measured]) -> Figure:
@@ -221,7 +251,7 @@ def i_dq(runs: Sequence[Measured]) -> Figure:
                 axis.plot(w.lut_time, ref, color=REFERENCE, lw=0.9, ls="--", label="reference")
                 shown.append(ref)
             axis.set_xlim(w.begin, w.end)
-            note(axis, f"peak to peak {format_value(run.row['ripple_pp'][axis_name], 'A')}")
+            note(axis, _ripple(run, axis_name))
         limits(axes[row], shown, top=0.25)
     figure.legend(
         *_handles(axes[0][0], axes[1][0]),
@@ -230,6 +260,16 @@ def i_dq(runs: Sequence[Measured]) -> Figure:
         columnspacing=1.2,
     )
     return figure
+
+
+def _ripple(run: Measured, axis_name: str) -> str:
+    """The ripple, or in its place the deviation, or that there is none of either."""
+    ripple, deviation = run.row["ripple_pp"][axis_name], run.row["deviation_rms"]
+    if ripple is not None:
+        return f"peak to peak {format_value(ripple, 'A')}"
+    if deviation is not None and deviation[axis_name] is not None:
+        return f"not steady\nrms deviation {format_value(deviation[axis_name], 'A')}"
+    return NO_FIGURE
 
 
 def _handles(*axes: Axes) -> tuple[list[Any], list[str]]:
@@ -257,7 +297,8 @@ def lut_error(runs: Sequence[Measured]) -> Figure | None:
                 continue
             axis.plot(w.lut_time, w.error[:, row], color=COLOURS[row], lw=0.5)
             shown.append(w.error[:, row])
-            note(axis, f"max {format_value(run.row['lut_error_max'][axis_name], 'A')}")
+            largest = run.row["lut_error_max"][axis_name]
+            note(axis, NO_FIGURE if largest is None else f"max {format_value(largest, 'A')}")
         limits(axes[row], shown, top=0.25)
     return figure
 
@@ -272,7 +313,7 @@ def spectrum(runs: Sequence[Measured]) -> Figure | None:
         else:
             part, key = metrics.fundamental(w.i_abc[:, 0], w.theta), "control"
         rate = run.row["sampling_rate_hz"][key]
-        if part is None or not run.row["steady"]:
+        if part is None or run.row["thd_percent"][key] is None:
             parts.append(None)
         else:
             parts.append((metrics.spectrum(part, rate), rate, part.thd))

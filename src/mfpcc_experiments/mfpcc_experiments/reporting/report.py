@@ -21,7 +21,7 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.measuring.measured import COLOURS, Measured, Signal
+from mfpcc_experiments.measuring.measured import COLOURS, MARKS, Measured, Signal
 from mfpcc_experiments.reporting.compare import COLUMNS, best, text
 
 #: Values per signal up to which all are stored. Of longer signals, the extremes of equal spans are,
@@ -83,6 +83,7 @@ def render(runs: Sequence[Measured], figures: Mapping[str, Path]) -> str:
         title=_title(runs),
         subtitle=_subtitle(runs),
         runs=runs,
+        keys=[(n % len(COLOURS), _mark(n)) for n in range(len(runs))],
         table=_table(runs),
         notes=[(run.label, note) for run in runs for note in run.row["notes"]],
         sources=_sources(runs),
@@ -151,6 +152,11 @@ def _table(runs: Sequence[Measured]) -> list[tuple[str, str, list[tuple[str, boo
     return lines
 
 
+def _mark(n: int) -> str:
+    """What tells a recording apart besides its colour."""
+    return MARKS[n % len(MARKS)]
+
+
 # --- Traces ------------------------------------------------------------------------------------
 
 
@@ -175,11 +181,14 @@ def _traces(runs: Sequence[Measured]) -> dict[str, Any]:
     frequency = first.row["fundamental"]["frequency_hz"]
     return {
         "runs": [
-            {"label": run.label, "colour": COLOURS[n % len(COLOURS)], "n": n}
+            {"label": run.label, "n": n, "colour": n % len(COLOURS), "mark": _mark(n)}
             for n, run in enumerate(runs)
         ],
         "span": [min(begins), max(ends)],
-        "window": [first.window.begin, first.window.end],
+        "window": [
+            min(run.window.begin for run in runs),
+            max(run.window.end for run in runs),
+        ],
         "period": 1.0 / first.row["sampling_rate_hz"]["control"],
         "electrical": 1.0 / frequency if frequency > 0.5 else None,
         "panels": panels,

@@ -43,8 +43,10 @@ class Trace:
     i_abc : float64 array, shape (n, 3 m)
         Oversampled phase currents (A), m points per period.
     legs : uint8 array, shape (n, m)
-    scheme : str
-        Who was in control.
+    scheme, fallback : str
+        Who was to control, and who does in its place once it has failed.
+    fallen : bool array, shape (n,)
+        Whether it had.
     """
 
     feedback: NDArray[np.void]
@@ -53,10 +55,12 @@ class Trace:
     state: NDArray[np.void]
     i_abc: NDArray[np.float64]
     legs: NDArray[np.uint8]
+    fallen: NDArray[np.bool_]
     scheme: str
+    fallback: str
 
     @classmethod
-    def empty(cls, n: int, oversampling: int, scheme: str) -> Trace:
+    def empty(cls, n: int, oversampling: int, scheme: str, fallback: str) -> Trace:
         """Room for n periods."""
         return cls(
             feedback=np.zeros(n, fixed_dtype(PhaseFeedback)),
@@ -65,12 +69,14 @@ class Trace:
             state=np.zeros(n, fixed_dtype(DriveState)),
             i_abc=np.zeros((n, 3 * oversampling)),
             legs=np.zeros((n, oversampling), np.uint8),
+            fallen=np.zeros(n, np.bool_),
             scheme=scheme,
+            fallback=fallback,
         )
 
 
 @kernel
-def _loop(par, st, cfg, mem, cmd, feedback, command, lut, state, i_abc, legs):
+def _loop(par, st, cfg, mem, cmd, feedback, command, lut, state, i_abc, legs, fallen):
     """Closed loop over as many periods as the arrays have rows.
 
     `cmd` carries the last command in and out.
@@ -82,6 +88,7 @@ def _loop(par, st, cfg, mem, cmd, feedback, command, lut, state, i_abc, legs):
         for _ in range(st[0].injector.copies):
             answer(cfg[0], mem[0], feedback[k], cmd[0], lut[k], True)
         command[k] = cmd[0]
+        fallen[k] = mem[0].fallen
 
 
 @kernel
@@ -103,6 +110,7 @@ def _loop_in_python(
         for _ in range(plant.st["injector"]["copies"][0]):
             controller.step(feedback, cmd, trace.lut[k : k + 1], True)
         trace.command[k] = cmd[0]
+        trace.fallen[k] = controller.fallen
 
 
 class Engine:
@@ -148,7 +156,10 @@ class Engine:
             if self._due:
                 limit = min(limit, self._due[0][0])
             n = limit - self.period
-            trace = Trace.empty(n, self.plant.oversampling, self.controller.scheme)
+            values = self.controller.values
+            trace = Trace.empty(
+                n, self.plant.oversampling, values["scheme"], values["fallback_scheme"]
+            )
             if self.controller.compiled:
                 _loop(
                     self.plant.par,
@@ -162,6 +173,7 @@ class Engine:
                     trace.state,
                     trace.i_abc,
                     trace.legs,
+                    trace.fallen,
                 )
             else:
                 _loop_in_python(self.plant, self.controller, self._command, trace)

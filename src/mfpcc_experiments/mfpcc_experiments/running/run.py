@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mfpcc_controller.controller import Controller
 from mfpcc_experiments.bags.bag import BagWriter
 from mfpcc_experiments.bags.provenance import versions
+from mfpcc_experiments.measuring.happened import latched
 from mfpcc_experiments.progress import Tell
 from mfpcc_experiments.running.engine import Engine, Trace, step_time
 from mfpcc_experiments.running.scenario import Scenario
@@ -104,7 +105,16 @@ def _run_inprocess(config: dict[str, Any], path: Path, periods: int, progress: T
             samples.append(trace.feedback)
             progress(engine.period)
         timing = step_time(Controller(controller), np.concatenate(samples))
-        writer.close({"step_time_us": timing, "lost_periods": 0})
+        writer.close(
+            {
+                "step_time_us": timing,
+                "lost_periods": 0,
+                "faults": [
+                    *latched("pmsm_sim", engine.plant.faults()),
+                    *latched("mfpcc_controller", engine.controller.faults()),
+                ],
+            }
+        )
 
 
 def write_trace(
@@ -142,7 +152,7 @@ def write_trace(
         (
             "lut_diagnostics",
             trace.lut,
-            _serialized(_with_scheme(trace.scheme), trace.lut),
+            _named(trace),
             lut_every,
         ),
     )
@@ -167,7 +177,12 @@ def _serialized(wire: Wire, rows: NDArray[np.void], **tails: NDArray[Any]) -> It
         yield wire.to_bytes()
 
 
-def _with_scheme(scheme: str) -> Wire:
-    wire = Wire(LutDiagnostics)
-    wire.set_string("scheme", scheme)
-    return wire
+def _named(trace: Trace) -> Iterator[bytes]:
+    """The diagnostics, with the name of who controlled in each period."""
+    wires = [Wire(LutDiagnostics) for _ in range(2)]
+    for wire, name in zip(wires, (trace.scheme, trace.fallback), strict=True):
+        wire.set_string("scheme", name)
+    messages = [_serialized(wire, trace.lut) for wire in wires]
+    for fallen in trace.fallen.tolist():
+        both = [next(each) for each in messages]
+        yield both[fallen]

@@ -115,7 +115,8 @@
   data.runs.forEach((run) => {
     const button = document.createElement("button");
     const key = document.createElement("span");
-    key.className = "key run" + (run.n % 7);
+    key.className = "key run" + run.colour;
+    key.textContent = run.mark;
     button.type = "button";
     button.append(key, run.label);
     button.setAttribute("aria-pressed", "true");
@@ -146,7 +147,7 @@
     const get = (name) => style.getPropertyValue(name).trim();
     return {
       ink: get("--ink"), soft: get("--soft"), line: get("--line"), tint: get("--tint"),
-      paper: get("--paper"), run: [0, 1, 2, 3, 4, 5, 6].map((n) => get("--run" + n)),
+      paper: get("--paper"), run: data.runs.map((run) => get("--run" + run.colour)),
     };
   }
 
@@ -254,9 +255,9 @@
         if (s.dash || (s.fine && list.some((o) => o.s.run === s.run && !o.s.fine))) continue;
         const k = Math.floor((cursor - part.t0) / part.dt + 1e-6);
         if (k < 0 || k >= part.n || part.low0[k] === NAN) continue;
-        const text = scaled(part, part.high0[k]).toFixed(Math.min(4, close));
+        const text = data.runs[s.run].mark + " " + scaled(part, part.high0[k]).toFixed(Math.min(4, close));
         if (at + c.measureText(text).width > right) break;
-        c.fillStyle = colour.run[s.run % 7];
+        c.fillStyle = colour.run[s.run];
         c.fillText(text, at, TOP / 2);
         at += c.measureText(text).width + 10;
       }
@@ -274,7 +275,7 @@
   }
 
   function drawSeries(c, { s, part, begin, end, close }, X, Y, colour, left, right) {
-    const ink = colour.run[s.run % 7];
+    const ink = colour.run[s.run];
     c.strokeStyle = c.fillStyle = ink;
     c.globalAlpha = s.dash ? 0.9 : 1;
     c.lineWidth = s.dash ? 1 : s.fine ? 1 : 1.2;
@@ -311,18 +312,31 @@
       }
       if (!waveform) c.stroke();
       if (!s.dash && !s.fine && (waveform || spacing > 7)) {
-        c.beginPath();
-        const r = spacing > 7 ? 2.6 : 1.4;
-        for (let k = begin; k < end; k++) {
-          if (part.low0[k] === NAN) continue;
-          const x = X(part.t0 + k * part.dt), y = value(part.low0[k]);
-          c.moveTo(x + r, y); c.arc(x, y, r, 0, 7);
-        }
-        c.fill();
+        mark(c, s.run, spacing > 7 ? 9 : 6, function* () {
+          for (let k = begin; k < end; k++) {
+            if (part.low0[k] !== NAN) yield [X(part.t0 + k * part.dt), value(part.low0[k])];
+          }
+        });
       }
+    }
+    if (!s.dash && !s.fine && data.runs.length > 1 && 1 / perPixel <= 7) {
+      // Far out, a mark here and there tells whose line it is, without its colour.
+      mark(c, s.run, 9, function* () {
+        const apart = 120, first = left + apart * (0.3 + s.run / data.runs.length);
+        for (let x = first; x < right; x += apart) {
+          const k = Math.round((view.from + (x - left) / (right - left) * (view.to - view.from) - part.t0) / part.dt);
+          if (k >= begin && k < end && part.low0[k] !== NAN) yield [X(part.t0 + k * part.dt), value(part.low0[k])];
+        }
+      });
     }
     c.globalAlpha = 1;
     c.setLineDash([]);
+  }
+
+  function mark(c, run, size, places) {
+    c.font = size + "px system-ui, sans-serif";
+    c.textAlign = "center"; c.textBaseline = "middle";
+    for (const [x, y] of places()) c.fillText(data.runs[run].mark, x, y);
   }
 
   // Whether the waveform within the periods covers the view, for a series of samples.
