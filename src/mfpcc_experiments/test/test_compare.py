@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 
 from mfpcc_experiments.bags import bag, recording
 from mfpcc_experiments.measuring import happened, measured, metrics
-from mfpcc_experiments.reporting import compare, report
+from mfpcc_experiments.reporting import compare, figures, report
 
 CONTRACT = {
     "experiment": None,
@@ -94,9 +95,12 @@ def test_a_folder_of_results(compared):
         for key, keys in CONTRACT.items():
             assert key in row
             assert keys is None or set(row[key]) >= keys
-    pictures = {path.stem: path for path in (out / "figures").iterdir()}
-    assert set(pictures) == {"phase_currents", "i_dq", "lut_error", "spectrum", "speed_torque"}
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures.values())
+    names = {"phase_currents", "i_dq", "lut_error", "spectrum", "speed_torque"}
+    for ending, begin in ((".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")):
+        pictures = {path.stem: path for path in (out / "figures").glob(f"*{ending}")}
+        assert set(pictures) == names
+        assert all(path.read_bytes().startswith(begin) for path in pictures.values())
+    assert len(list((out / "figures").iterdir())) == 3 * len(names)
     assert told == sorted(told) and told[-1] == 1.0
     assert {path.name for path in out.iterdir()} == {"metrics.json", "report.html", "figures"}
 
@@ -138,6 +142,45 @@ def test_figures_of_recordings_that_lack_topics(make_bag, drive_messages, tmp_pa
     compare.compare([bare], tmp_path / "alone")
     names = {path.stem for path in (tmp_path / "alone" / "figures").iterdir()}
     assert names == {"phase_currents", "i_dq", "spectrum"}
+
+
+def test_vector_figures_are_vectors_and_the_same_each_time(bags, compared, tmp_path):
+    out, _, _ = compared
+    compare.compare(bags, tmp_path / "again")
+    for path in sorted((out / "figures").iterdir()):
+        assert path.read_bytes() == (tmp_path / "again/figures" / path.name).read_bytes(), path
+    drawing = ElementTree.parse(out / "figures/i_dq.svg").getroot()
+    tags = {element.tag.rpartition("}")[2] for element in drawing.iter()}
+    assert "path" in tags and "image" not in tags
+    assert b"/Subtype /Image" not in (out / "figures/i_dq.pdf").read_bytes()
+
+
+def test_phase_currents_have_the_time_of_the_run(bags):
+    (run,) = compare.measure(bags[:1], window_s=(0.15, 0.25))
+    (axis,) = figures.phase_currents([run]).axes
+    # two periods of 50 Hz from the begin of the window on
+    assert axis.get_xlim() == pytest.approx((0.15, 0.19), abs=1e-3)
+    assert "(s)" in axis.get_xlabel()
+    time, current = axis.lines[0].get_data()
+    assert np.array_equal(current, run.window.fine_abc[: len(time), 0])
+    np.testing.assert_allclose(time, 0.15 + np.arange(len(time)) * 1e-4 / 4, atol=1e-9)
+
+
+def test_what_lut_error_is_stands_where_it_comes_first(compared, capsys):
+    out, rows, _ = compared
+    text = Page((out / "report.html").read_text(encoding="utf-8")).text
+    assert 0 < text.index("LUT error") < text.index("measured minus predicted current")
+    assert text.index("measured minus predicted current") < text.index("LUT error q")
+    compare.print_table(rows)
+    assert "LUT error: measured minus predicted current" in capsys.readouterr().out
+
+
+def test_changes_of_a_run_are_told_with_its_figures(make_bag, tmp_path):
+    bag_ = make_bag(config=config(scenario={"changes": {"mls.window": 10, "duration": 0.3}}))
+    (row,) = compare.compare([bag_], tmp_path / "out")
+    text = "not as the experiment says: mls.window = 10, duration = 0.3"
+    assert {"severity": "info", "text": text} in row["notes"]
+    assert text in (tmp_path / "out/report.html").read_text()
 
 
 def test_another_window_than_the_recorded_one(bags, tmp_path):

@@ -36,7 +36,7 @@ Mean errors are *measured minus reference*. Angles are in rad, currents in A, ti
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -888,6 +888,16 @@ def _clean(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def _changes(config: Mapping[str, Any]) -> list[Note]:
+    """What the run was to do otherwise than its experiment says."""
+    scenario = config.get("scenario")
+    changes = scenario.get("changes") if isinstance(scenario, dict) else None
+    if not isinstance(changes, dict) or not changes:
+        return []
+    told = ", ".join(f"{name} = {value}" for name, value in changes.items())
+    return [info(f"not as the experiment says: {told}")]
+
+
 def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> dict[str, Any]:
     """
     Measure one recording.
@@ -956,6 +966,7 @@ def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> d
         for note in (
             *past.notes(first, end),
             *state.notes,
+            *_changes(config),
             *recording.notes,
             *_of_the_run(recording),
             *([info(of_resistance)] if of_resistance and "copper_loss_w" not in taken else []),

@@ -28,7 +28,7 @@ from mfpcc_experiments.paper.reproduce import (
     Results,
     Run,
 )
-from mfpcc_experiments.reporting.figures import REFERENCE, STYLE, format_value, limits, note
+from mfpcc_experiments.reporting.figures import REFERENCE, STYLE, format_value, limits, note, save
 
 _CONDITIONS = {
     "steady_750_2": "750 r/min, 2 N m",
@@ -207,9 +207,7 @@ def draw(results: Results, figures: Iterable[str], folder: Path) -> Iterator[tup
     with mpl.rc_context(STYLE):
         for figure in figures:
             for name, caption, picture in _PAINTERS[figure](results):
-                path = folder / f"{name}.png"
-                picture.savefig(path, metadata={"Software": None})
-                yield figure, path, caption
+                yield figure, save(picture, folder / name), caption
 
 
 Picture = tuple[str, str, Figure]

@@ -303,6 +303,8 @@ def print_table(rows: Sequence[dict[str, Any]]) -> None:
         if n:
             console.print()
         console.print(table)
+    if any(title.startswith("LUT error") for title, *_ in lines):
+        console.print("LUT error: measured minus predicted current", style="dim")
     for line in notes.lines(rows, names):
         console.print(escape(line), soft_wrap=True)
 

@@ -1,5 +1,6 @@
 """
-Figures of recordings side by side, as for a paper: PNG files on white, axes with units.
+Figures of recordings side by side, as for a paper, on white, axes with units: each as a PNG file,
+and as vectors (SVG and PDF) for a page of one's own.
 
 All schemes of one figure share their scales, so that what looks smaller is smaller.
 """
@@ -57,6 +58,15 @@ STYLE: Any = {
     "figure.facecolor": "white",
     "agg.path.chunksize": 20_000,
     "path.simplify_threshold": 0.3,
+    "svg.hashsalt": "mfpcc",  # the same names inside the file each time
+    "pdf.fonttype": 42,  # text that can be searched and edited
+}
+
+#: Files of each figure, and what they say of their making: nothing that differs from run to run.
+FORMATS: dict[str, dict[str, None]] = {
+    ".png": {"Software": None},
+    ".svg": {"Date": None, "Creator": None},
+    ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
 }
 
 
@@ -69,12 +79,12 @@ def draw(runs: Sequence[Measured], folder: Path) -> dict[str, Path]:
     runs : sequence of Measured
         What is compared, in this order.
     folder : Path
-        Where the PNG files go; it exists.
+        Where the files go; it exists.
 
     Returns
     -------
     dict of Path
-        File of each figure, by name; a figure that no recording has data for is not there.
+        PNG file of each figure, by name; a figure that no recording has data for is not there.
     """
     drawn = {}
     painters: dict[str, Callable[[Sequence[Measured]], Figure | None]] = {
@@ -88,9 +98,29 @@ def draw(runs: Sequence[Measured], folder: Path) -> dict[str, Path]:
         for name, painter in painters.items():
             figure = painter(runs)
             if figure is not None:
-                drawn[name] = folder / f"{name}.png"
-                figure.savefig(drawn[name], metadata={"Software": None})
+                drawn[name] = save(figure, folder / name)
     return drawn
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """
+    Write a figure in all `FORMATS`; with `STYLE` in force.
+
+    Parameters
+    ----------
+    figure : Figure
+        What was drawn.
+    path : Path
+        Its files without their ending.
+
+    Returns
+    -------
+    Path
+        The PNG file.
+    """
+    for ending, metadata in FORMATS.items():
+        figure.savefig(path.with_name(path.name + ending), metadata=metadata)
+    return path.with_name(f"{path.name}.png")
 
 
 def panels(
@@ -199,7 +229,7 @@ def format_value(value: float | None, unit: str) -> str:
 
 def phase_currents(runs: Sequence[Measured]) -> Figure:
     """The three phase currents: two electrical periods and the THD, or five around a transient."""
-    figure, ((*axes,),) = panels(_titles(runs), ["Phase current (A)"], 1.75, "Time (ms)")
+    figure, ((*axes,),) = panels(_titles(runs), ["Phase current (A)"], 1.75, "Time (s)")
     shown = []
     for axis, run in zip(axes, runs, strict=True):
         w = run.window
@@ -214,11 +244,12 @@ def phase_currents(runs: Sequence[Measured]) -> Figure:
         begin = max(begin, time[0])
         rows = slice(*np.searchsorted(time, (begin, begin + span)))
         for n, (name, colour) in enumerate(zip("abc", PHASES, strict=True)):
-            axis.plot(1e3 * (time[rows] - begin), i_abc[rows, n], color=colour, label=f"$i_{name}$")
-        axis.set_xlim(0.0, 1e3 * span)
+            axis.plot(time[rows], i_abc[rows, n], color=colour, label=f"$i_{name}$")
+        axis.set_xlim(begin, begin + span)
         shown.append(i_abc[rows])
         thd = run.row["thd_percent"]["oversampled" if fine else "control"]
-        note(axis, f"THD {format_value(thd, '%')}" if steady else f"from {begin:.3f} s")
+        if thd is not None:
+            note(axis, f"THD {format_value(thd, '%')}")
     limits(axes, shown)
     figure.legend(
         *axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3, columnspacing=1.2

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from mfpcc_experiments.measuring.happened import scheme_title
 from mfpcc_experiments.measuring.measured import COLOURS
 from mfpcc_experiments.measuring.replay import Replay, Samples, window_rows
-from mfpcc_experiments.reporting.figures import REFERENCE, STYLE, format_value, limits, note
+from mfpcc_experiments.reporting.figures import REFERENCE, STYLE, format_value, limits, note, save
 
 #: Time shown of the duties (s): a few tens of periods, so that single ones can be seen.
 _CLOSE_UP = 4e-3
@@ -88,4 +88,4 @@ def draw(
         for axis in axes[-1]:
             axis.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
         figure.legend(*axes[0][2].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-        figure.savefig(path, metadata={"Software": None})
+        save(figure, path.with_suffix(""))

@@ -84,7 +84,8 @@ def render(runs: Sequence[Measured], figures: Mapping[str, Path]) -> str:
         subtitle=_subtitle(runs),
         runs=runs,
         keys=[(n % len(COLOURS), _mark(n)) for n in range(len(runs))],
-        table=_table(runs),
+        table=(table := _table(runs)),
+        lut_row=next((n for n, (title, *_) in enumerate(table) if "LUT" in title), None),
         notes=[(run.label, note) for run in runs for note in run.row["notes"]],
         sources=_sources(runs),
         figures=[

@@ -7,6 +7,8 @@
   const LEFT = 58, RIGHT = 10, TOP = 20, AXIS = 20, NAN = -32768, FACTOR = 16;
   // The waveform within the periods is drawn below this many periods in view.
   const CLOSE = 250;
+  // Width of the traces in print (CSS pixels).
+  const PAGE = 720;
 
   // --- Data ---
 
@@ -80,7 +82,7 @@
 
   const view = { from: data.span[0], to: data.span[1] };
   const hidden = new Set();
-  let cursor = null, pending = false;
+  let cursor = null, pending = false, onPaper = false;
 
   function show(from, to) {
     const [first, last] = data.span;
@@ -185,8 +187,8 @@
   const scaled = (part, whole) => part.low + (whole + 32767) * part.scale;
 
   function drawPanel(panel) {
-    const canvas = panel.canvas, ratio = window.devicePixelRatio || 1;
-    const width = holder.clientWidth, small = width < 560;
+    const canvas = panel.canvas, ratio = onPaper ? 3 : window.devicePixelRatio || 1;
+    const width = onPaper ? PAGE : holder.clientWidth, small = width < 560;
     const plot = small ? 96 : 112, height = TOP + plot + (panel.last ? AXIS : 4);
     if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
       canvas.width = Math.round(width * ratio); canvas.height = Math.round(height * ratio);
@@ -406,6 +408,37 @@
   new ResizeObserver(draw).observe(holder);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   draw();
+
+  // --- Print: what is in view, in ink on white and sharp, and the configuration unfolded ---
+
+  let folded = [];
+  function paper(on) {
+    if (on === onPaper) return;
+    onPaper = on;
+    document.documentElement.classList.toggle("printing", on);
+    if (on) folded = [...document.querySelectorAll("details:not([open])")];
+    for (const details of folded) details.open = on;
+    panels.forEach(drawPanel);
+  }
+  window.addEventListener("beforeprint", () => paper(true));
+  window.addEventListener("afterprint", () => paper(false));
+
+  // --- What is wider than the screen says so ---
+
+  for (const box of document.querySelectorAll(".scroll")) {
+    const hint = document.createElement("p");
+    hint.className = "hint";
+    hint.textContent = "Scroll sideways for the rest \u2192";
+    box.before(hint);
+    const look = () => {
+      hint.hidden = box.scrollWidth <= box.clientWidth + 1;
+      box.classList.toggle("more", box.scrollLeft + box.clientWidth < box.scrollWidth - 1);
+    };
+    new ResizeObserver(look).observe(box);
+    box.addEventListener("scroll", look, { passive: true });
+    box.querySelectorAll("img").forEach((img) => img.addEventListener("load", look));
+    look();
+  }
 
   // For tests: what is in view, and how long a frame takes.
   window.traces = {
