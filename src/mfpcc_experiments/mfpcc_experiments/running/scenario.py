@@ -309,6 +309,41 @@ def changed(scenario: Scenario, changes: Iterable[str]) -> Scenario:
             raise ParameterError(str(error)) from None
         values[part][parameter] = _TABLES[part][parameter].parse(value)
         places[name] = part, parameter
+    return _revised(scenario, values, places)
+
+
+def with_parameters(
+    scenario: Scenario, *, plant: Mapping[str, Any], controller: Mapping[str, Any]
+) -> Scenario:
+    """
+    The scenario with other parameters of the two nodes than its file says.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What the file says.
+    plant, controller : mapping
+        Values by the names of the node's parameters.
+
+    Raises
+    ------
+    pwm_node.parameters.ParameterError
+        If a name or a value is not acceptable, by the rules of the file and of the node.
+    """
+    values = scenario.model_dump()
+    places: dict[str, tuple[str, str]] = {}
+    for part, changes in (("plant", plant), ("controller", controller)):
+        values[part].update(changes)
+        for name in changes:
+            of_both = all(name in table for table in _TABLES.values())
+            places[f"{part}.{name}" if of_both else name] = part, name
+    return _revised(scenario, values, places)
+
+
+def _revised(
+    scenario: Scenario, values: dict[str, Any], places: Mapping[str, tuple[str, str]]
+) -> Scenario:
+    """The scenario of some values; it tells those at some places (section, key) as its changes."""
     try:
         found = yaml_files.validated(values, Scenario)
     except yaml_files.FileError as error:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mfpcc_experiments.verbs.run import ENGINES
+from mfpcc_experiments.running import ENGINES
 
 if TYPE_CHECKING:
     from mfpcc_experiments.proofs.faults import Verdict

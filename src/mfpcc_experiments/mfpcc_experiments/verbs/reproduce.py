@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mfpcc_experiments.verbs.run import ENGINES
+from mfpcc_experiments.running import ENGINES
 
 if TYPE_CHECKING:
     from mfpcc_experiments.paper.reproduce import Statement

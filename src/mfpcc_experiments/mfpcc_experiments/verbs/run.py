@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mfpcc_experiments.running import ENGINES
 from mfpcc_experiments.verbs.compare import conclude
 
 if TYPE_CHECKING:
     from mfpcc_experiments.running.scenario import Scenario
-
-ENGINES = ("ros", "inprocess")
 
 
 @click.command(short_help="Run an experiment with one or more schemes, and compare.")
