@@ -366,9 +366,13 @@ def of_faults() -> Iterator[str]:
     rows = []
     sources = (("pmsm_sim", plant_protection), ("mfpcc_controller", controller_protection))
     for node, protection in sources:
-        for code, text in protection.FAULTS.items():
-            rows.append((f"`{code}`", node, re.sub(r"\{.*?\}", "…", text)))
-    yield from table(("code", "seen by", "it says"), rows)
+        for fault in protection.FAULTS.rows:
+            threshold = f"`{fault.threshold.name}`" if fault.threshold is not None else ""
+            says = " or: ".join(filter(None, (fault.text, fault.text_of_value)))
+            rows.append(
+                (f"`{fault.code}`", node, threshold, fault.reaction, re.sub(r"\{.*?\}", "…", says))
+            )
+    yield from table(("code", "seen by", "threshold", "what follows", "it says"), rows)
     yield "## Injected faults"
     yield ""
     yield (

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mfpcc_controller import model, motor, plug_in, protection, schemes
 from mfpcc_controller.observer import observe, turned_by
+from mfpcc_controller.protection import FAULTS
 from mfpcc_controller.records import CONTROL_CFG, CONTROL_MEMORY
 from mfpcc_controller.speed_loop import current_reference, mtpa_d
 from mfpcc_controller.vectors import copy_output, leg_duties, set_output
@@ -127,7 +128,7 @@ def _sound(mem):
 @kernel
 def _fall_back(cfg, mem):
     """The scheme in control has failed: the fallback answers the same sample."""
-    protection.report(cfg, mem, protection.SCHEME, 0.0)
+    protection.report(mem, protection.SCHEME, 0.0)
     schemes.forget(mem)
     if not mem.fallen and cfg.fallback != mem.active:
         mem.fallen = True
@@ -251,6 +252,7 @@ class Controller:
         self.values = dict(values)
         self.cfg = np.zeros(1, CONTROL_CFG)
         self.mem = np.zeros(1, CONTROL_MEMORY)
+        self._latch = self.mem["guard"]["latch"][0]
         self.cfg["pwm_frequency"] = values["pwm_frequency"]
         self.cfg["T_s"] = 1.0 / values["pwm_frequency"]
         self.cfg["n_p"] = self.motor.n_p
@@ -290,7 +292,7 @@ class Controller:
     @property
     def tripped(self) -> bool:
         """Whether the gates are off until `clear_faults`."""
-        return bool(self.mem["guard"]["tripped"][0]) or self.failed
+        return bool(self._latch["tripped"]) or self.failed
 
     @property
     def slowing(self) -> bool:
@@ -304,15 +306,15 @@ class Controller:
 
     def inherit_faults(self, other: Controller) -> None:
         """Take over what another controller has latched, and that power waits for a zero."""
-        for name in ("tripped", "awaits_zero", "faults", "at", "value"):
+        for name in ("latch", "awaits_zero"):
             self.mem["guard"][name] = other.mem["guard"][name]
-        self.mem["guard"]["tripped"] |= other.failed
+        self._latch["present"] = 0
+        self._latch["tripped"] |= other.failed
 
     def stop(self) -> None:
         """Safe torque off: the gates go off with the next command, until `clear_faults`."""
-        guard = self.mem["guard"][0]
-        guard["slowing"] = False
-        guard["tripped"] = True
+        self.mem["guard"]["slowing"] = False
+        self._latch["tripped"] = True
 
     def slow_down(self) -> None:
         """Safe stop 1: ramp down to zero speed, then `stop`; or after twice the ramp's time."""
@@ -331,15 +333,9 @@ class Controller:
 
     def feedback_lost(self, seconds: float) -> None:
         """Disable, since no sample has come for so long."""
-        guard = self.mem["guard"][0]
-        bit = np.uint32(1 << protection.FEEDBACK_LOST)
-        guard["present"] |= bit  # until the next sample
-        if not guard["faults"] & bit:
-            guard["faults"] |= bit
-            guard["at"][protection.FEEDBACK_LOST] = self.mem["period"][0]
-            guard["value"][protection.FEEDBACK_LOST] = seconds
-        if self.values["fault.react"]:
-            guard["tripped"] = True
+        # its cause is there until the next sample
+        period, react = int(self.mem["period"][0]), bool(self.values["fault.react"])
+        FAULTS.trip(self._latch, protection.FEEDBACK_LOST, period, seconds, react=react)
 
     def overran(self, microseconds: float) -> None:
         """Let another scheme take over with the next sample: this one has taken so long."""
@@ -350,33 +346,22 @@ class Controller:
 
         The inverter is enabled again once the reference has been at zero.
         """
-        guard = self.mem["guard"][0]
-        lasting = protection.named(int(guard["present"] & guard["faults"]))
-        if lasting:
-            return lasting
-        guard["awaits_zero"] = True
-        guard["tripped"] = False
-        guard["slowing"] = False
-        guard["faults"] = 0
-        self.mem["fallen"] = False
-        self.mem["failed"] = False
-        self._apply_references()
-        return []
+        lasting = FAULTS.clear(self._latch)
+        if not lasting:
+            self.mem["guard"]["awaits_zero"] = True
+            self.mem["guard"]["slowing"] = False
+            self.mem["fallen"] = False
+            self.mem["failed"] = False
+            self._apply_references()
+        return lasting
 
     def faults(self) -> list[tuple[str, int, str]]:
         """Latched faults, oldest first: code, period of the first occurrence, what was seen."""
-        guard = self.mem["guard"][0]
-        found = []
-        for bit, (code, text) in enumerate(protection.FAULTS.items()):
-            value = float(guard["value"][bit])
-            if bit == protection.SCHEME and value > 0.0:
-                text = protection.OVERRUN
-            text = text.format(value=value)
-            if bit == protection.SCHEME and value == 0.0 and self.complaint:
-                text = self.complaint
-            if int(guard["faults"]) >> bit & 1:
-                found.append((code, int(guard["at"][bit]), text))
-        return sorted(found, key=lambda fault: fault[1])
+        found = FAULTS.latched(self._latch)
+        if self.complaint and self._latch["value"][protection.SCHEME] == 0.0:
+            # a plug-in that gave no valid output says itself why
+            found = [(c, k, self.complaint if c == "SCHEME" else text) for c, k, text in found]
+        return found
 
     @property
     def compiled(self) -> bool:
@@ -429,7 +414,7 @@ class Controller:
         cfg["b_d"] = T_s / cfg["L_d"]
         cfg["b_q"] = T_s / cfg["L_q"]
         self._apply_references()
-        self._apply_protection()
+        protection.configure(cfg[0], self.motor, values)
 
         cfg["rank_sectors"] = values["sector_search"] == "ranking"
         cfg["project"] = values["overmodulation"] == "project"
@@ -473,30 +458,6 @@ class Controller:
         cfg["pll_k_p"] = 2.0 * omega_o
         cfg["pll_k_i"] = omega_o * omega_o
 
-    def _apply_protection(self) -> None:
-        """Limits of the faults, from the motor file and the parameters."""
-        values, cfg, est_par = self.values, self.cfg, self.motor
-        T_s, i_max = float(cfg["T_s"][0]), est_par.i_max
-        w_M_max = est_par.speed_max_rpm * _TWO_PI / 60.0
-        cfg["react"] = values["fault.react"]
-        cfg["overcurrent_sq"] = (values["fault.overcurrent"] * i_max) ** 2
-        cfg["current_sum"] = values["fault.current_sum"] * i_max
-        cfg["sum_rate"] = 1.0 - math.exp(-T_s / _SUM_TIME)
-        cfg["jump"] = 1.5 * w_M_max * T_s + values["fault.encoder_jump"]
-        cfg["overspeed"] = values["fault.overspeed"] * w_M_max * est_par.n_p
-        cfg["stored"] = 0.75 * max(est_par.L_d, est_par.L_q) / T_s
-        cfg["copper"] = 2.0 * 1.5 * est_par.R_s
-        cfg["torque_per_ampere"] = 1.5 * est_par.psi_f
-        cfg["power_rate"] = 1.0 - math.exp(-T_s / _POWER_TIME)
-        cfg["prediction_sq"] = (values["fault.prediction_error"] * i_max) ** 2
-        cfg["prediction_time"] = values["fault.prediction_time"]
-        cfg["u_dc"] = est_par.u_dc
-        cfg["u_dc_min"] = 0.1 * est_par.u_dc
-        cfg["u_dc_max"] = 4.0 * est_par.u_dc
-        cfg["stop_rate"] = w_M_max / values["stop.ramp_time"]
-        cfg["w_rest"] = 0.01 * w_M_max * est_par.n_p
-        cfg["i_rest_sq"] = (0.01 * i_max) ** 2
-
     def _current_limit(self, torque_limit: float) -> float:
         """Largest current amplitude (A) whose torque is within the limit (N m; 0: none)."""
         est_par, mtpa = self.motor, float(self.cfg["mtpa"][0])
@@ -514,10 +475,6 @@ class Controller:
             low, high = (middle, high) if torque(middle) < torque_limit else (low, middle)
         return low
 
-
-#: Filters of the sum of the phase currents, and of the powers that SPINOUT compares (s)
-_SUM_TIME = 1e-3
-_POWER_TIME = 5e-3
 
 #: Bandwidth of field weakening (rad/s): slower than the current, faster than the speed
 _WEAKENING_BANDWIDTH = 100.0

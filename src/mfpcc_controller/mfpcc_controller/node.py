@@ -120,7 +120,7 @@ class MfpccController(PwmNode):
         self.core.bind(self._feedback.fixed, self._command.fixed, self._lut.fixed)
         self.core.enabled = self.active
         self._fallen = self.core.mem["fallen"]
-        self._faults = self.core.mem["guard"]["faults"]
+        self._faults = self.core.mem["guard"]["latch"]["faults"]
         self._seen_faults = int(self._faults[0])
 
     def activate(self) -> None:

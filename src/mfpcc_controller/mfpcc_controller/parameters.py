@@ -5,8 +5,16 @@ from __future__ import annotations
 import importlib.metadata
 from collections.abc import Mapping
 
-from mfpcc_controller import schemes
-from pwm_node.parameters import Parameter, Table, Value
+from mfpcc_controller import protection, schemes
+from pwm_node.parameters import (
+    PWM_FREQUENCY,
+    RECORDERS,
+    SCHEDULE,
+    Parameter,
+    Table,
+    Value,
+    file_parameter,
+)
 
 #: Names of the built-in schemes
 SCHEMES = schemes.NAMES
@@ -31,26 +39,8 @@ def _check(values: Mapping[str, Value]) -> str | None:
 
 TABLE = Table(
     [
-        Parameter(
-            "motor",
-            "seed_750",
-            "Motor: a name of config/motors or the path of a file",
-            read_only=True,
-        ),
-        Parameter(
-            "pwm_frequency",
-            10_000.0,
-            "PWM and control frequency",
-            unit="Hz",
-            minimum=1_000.0,
-            maximum=100_000.0,
-            read_only=True,
-            also=(
-                "f_pwm",
-                "f_s",
-                "T_s",
-            ),
-        ),
+        file_parameter("motor", "seed_750", "motors", "Motor"),
+        PWM_FREQUENCY,
         Parameter("scheme", "mls_mfpcc", "Current-control scheme", choices=(*SCHEMES, *PLUG_INS)),
         Parameter(
             "fallback_scheme",
@@ -166,85 +156,7 @@ TABLE = Table(
             choices=OVERMODULATIONS,
         ),
         *schemes.PARAMETERS,
-        Parameter(
-            "stop.ramp_time",
-            0.5,
-            "Safe stop 1: time from top speed to zero; the gates go off after twice as long at the "
-            "latest",
-            unit="s",
-            minimum=1e-3,
-            maximum=1e3,
-        ),
-        Parameter(
-            "fault.react",
-            True,
-            "Whether a fault disables the inverter; false only to see what happens then",
-        ),
-        Parameter(
-            "fault.overcurrent",
-            1.5,
-            "Current amplitude that trips, over the motor's current limit",
-            minimum=0.1,
-            maximum=100.0,
-        ),
-        Parameter(
-            "fault.current_sum",
-            0.083,
-            "Sum of the phase currents (filtered, 1 ms) that trips, over the current limit",
-            minimum=1e-3,
-            maximum=100.0,
-        ),
-        Parameter(
-            "fault.encoder_jump",
-            0.05,
-            "Step of the angle from sample to sample that trips, beyond 1.5 times top speed; a "
-            "coarse encoder has steps of its own",
-            unit="rad",
-            minimum=0.0,
-            maximum=3.2,
-        ),
-        Parameter(
-            "fault.overspeed",
-            1.2,
-            "Speed that trips, over the motor's top speed",
-            minimum=0.1,
-            maximum=100.0,
-        ),
-        Parameter(
-            "fault.prediction_error",
-            0.25,
-            "Prediction error at which another scheme takes over, over the current limit",
-            minimum=1e-3,
-            maximum=100.0,
-        ),
-        Parameter(
-            "fault.prediction_time",
-            5e-3,
-            "How long every prediction has to be that wrong",
-            unit="s",
-            minimum=1e-4,
-            maximum=10.0,
-        ),
-        Parameter(
-            "fault.feedback_timeout",
-            1.0,
-            "Wall-clock time without a sample after which an enabled controller disables the "
-            "inverter, counted in tenths of a second; 0: it waits for ever. It has to be longer "
-            "than samples are apart; gaps of more than 5 samples trip in any case",
-            unit="s",
-            minimum=0.0,
-            maximum=1e3,
-        ),
-        Parameter(
-            "fault.step_budget",
-            0.0,
-            "Wall-clock time that a step of the scheme may take: ten in a row beyond it bring the "
-            "fallback scheme; 0: any time, so that a run does not depend on how fast the machine "
-            "is",
-            unit="us",
-            minimum=0.0,
-            maximum=1e6,
-        ),
+        *protection.PARAMETERS,
         Parameter(
             "diagnostics_decimation",
             1,
@@ -253,20 +165,8 @@ TABLE = Table(
             maximum=1_000_000,
             read_only=True,
         ),
-        Parameter(
-            "recorders",
-            0,
-            "So many recorders are awaited before the first period, so that they miss nothing",
-            minimum=0,
-            maximum=100,
-            read_only=True,
-        ),
-        Parameter(
-            "schedule",
-            [],
-            "Parameter changes at given simulated times, each 'SECONDS NAME VALUE'",
-            read_only=True,
-        ),
+        RECORDERS,
+        SCHEDULE,
     ],
     check=_check,
 )

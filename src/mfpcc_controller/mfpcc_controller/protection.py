@@ -9,42 +9,168 @@ after the reference has been at zero.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from mfpcc_controller.motor import EstimatedPars
 from mfpcc_controller.observer import wrapped
 from mfpcc_controller.vectors import scaled, square
+from pwm_node import faults
 from pwm_node.compiled import kernel
+from pwm_node.faults import REACT, Fault, Faults
+from pwm_node.parameters import Parameter
 
-#: The controller's faults; the position is the bit in `GUARD_MEMORY.faults`.
-FAULTS: dict[str, str] = {
-    "FEEDBACK_LOST": "{value:.3g} s without a sample",
-    "FEEDBACK_INVALID": "two samples in a row that are not newer than the one before, or beyond "
-    "what sensors and motor file allow; DC link at {value:.0f} V",
-    "OVERCURRENT": "current amplitude {value:.1f} A",
-    "CURRENT_SUM": "the phase currents add up to {value:.2f} A",
-    "ENCODER": "the angle jumped, or stood still while the rotor turned, by {value:.3f} rad",
-    "OVERSPEED": "{value:.0f} rad/s",
-    "SPINOUT": "mechanical power {value:.0f} W while the machine takes electrical power",
-    "PREDICTION": "prediction error {value:.1f} A",
-    "SCHEME": "the scheme gave no valid output",  # or OVERRUN
-    "INVERTER": "the inverter has blocked its gates by itself",
-}
-#: What is said of a scheme that takes too long
-OVERRUN = "ten steps in a row took longer than 'fault.step_budget', the last {value:.3g} us"
-CODES = tuple(FAULTS)
-N_FAULTS = len(CODES)
+_DISABLED = "inverter disabled"
+_FALLBACK = "the fallback scheme answers the same sample; if that fails too, inverter disabled"
 
-FEEDBACK_LOST = CODES.index("FEEDBACK_LOST")
-FEEDBACK_INVALID = CODES.index("FEEDBACK_INVALID")
-OVERCURRENT = CODES.index("OVERCURRENT")
-CURRENT_SUM = CODES.index("CURRENT_SUM")
-ENCODER = CODES.index("ENCODER")
-OVERSPEED = CODES.index("OVERSPEED")
-SPINOUT = CODES.index("SPINOUT")
-PREDICTION = CODES.index("PREDICTION")
-SCHEME = CODES.index("SCHEME")
-INVERTER = CODES.index("INVERTER")
+#: What the controller sees; `text` is what it says.
+FAULTS = Faults(
+    Fault(
+        code="FEEDBACK_LOST",
+        text="{value:.3g} s without a sample",
+        reaction=_DISABLED,
+        threshold=Parameter(
+            "fault.feedback_timeout",
+            1.0,
+            "Wall-clock time without a sample after which an enabled controller disables the "
+            "inverter, counted in tenths of a second; 0: it waits for ever. It has to be longer "
+            "than samples are apart; gaps of more than 5 samples trip in any case",
+            unit="s",
+            minimum=0.0,
+            maximum=1e3,
+        ),
+    ),
+    Fault(
+        code="FEEDBACK_INVALID",
+        text="two samples in a row that are not newer than the one before, or beyond what sensors "
+        "and motor file allow; DC link at {value:.0f} V",
+        reaction=_DISABLED + "; one alone is replaced by what was predicted",
+    ),
+    Fault(
+        code="OVERCURRENT",
+        text="current amplitude {value:.1f} A",
+        reaction=_DISABLED,
+        threshold=Parameter(
+            "fault.overcurrent",
+            1.5,
+            "Current amplitude that trips, over the motor's current limit",
+            minimum=0.1,
+            maximum=100.0,
+        ),
+    ),
+    Fault(
+        code="CURRENT_SUM",
+        text="the phase currents add up to {value:.2f} A",
+        reaction=_DISABLED,
+        threshold=Parameter(
+            "fault.current_sum",
+            0.083,
+            "Sum of the phase currents (filtered, 1 ms) that trips, over the current limit",
+            minimum=1e-3,
+            maximum=100.0,
+        ),
+    ),
+    Fault(
+        code="ENCODER",
+        text="the angle jumped, or stood still while the rotor turned, by {value:.3f} rad",
+        reaction=_DISABLED,
+        threshold=Parameter(
+            "fault.encoder_jump",
+            0.05,
+            "Step of the angle from sample to sample that trips, beyond 1.5 times top speed; a "
+            "coarse encoder has steps of its own",
+            unit="rad",
+            minimum=0.0,
+            maximum=3.2,
+        ),
+    ),
+    Fault(
+        code="OVERSPEED",
+        text="{value:.0f} rad/s",
+        reaction=_DISABLED,
+        threshold=Parameter(
+            "fault.overspeed",
+            1.2,
+            "Speed that trips, over the motor's top speed",
+            minimum=0.1,
+            maximum=100.0,
+        ),
+    ),
+    Fault(
+        code="SPINOUT",
+        text="mechanical power {value:.0f} W while the machine takes electrical power",
+        reaction=_DISABLED,
+    ),
+    Fault(
+        code="PREDICTION",
+        text="prediction error {value:.1f} A",
+        reaction=_FALLBACK,
+        threshold=Parameter(
+            "fault.prediction_error",
+            0.25,
+            "Prediction error at which another scheme takes over, over the current limit",
+            minimum=1e-3,
+            maximum=100.0,
+        ),
+    ),
+    Fault(
+        code="SCHEME",
+        text="the scheme gave no valid output",
+        text_of_value="ten steps in a row took longer than 'fault.step_budget', the last "
+        "{value:.3g} us",
+        reaction=_FALLBACK + "; after slow steps it answers the next sample",
+        threshold=Parameter(
+            "fault.step_budget",
+            0.0,
+            "Wall-clock time that a step of the scheme may take: ten in a row beyond it bring the "
+            "fallback scheme; 0: any time, so that a run does not depend on how fast the machine "
+            "is",
+            unit="us",
+            minimum=0.0,
+            maximum=1e6,
+        ),
+    ),
+    Fault(
+        code="INVERTER",
+        text="the inverter has blocked its gates by itself",
+        reaction=_DISABLED,
+    ),
+)
+
+PARAMETERS = (
+    Parameter(
+        "stop.ramp_time",
+        0.5,
+        "Safe stop 1: time from top speed to zero; the gates go off after twice as long at the "
+        "latest",
+        unit="s",
+        minimum=1e-3,
+        maximum=1e3,
+    ),
+    REACT,
+    *FAULTS.parameters,
+    Parameter(
+        "fault.prediction_time",
+        5e-3,
+        "How long every prediction has to be that wrong",
+        unit="s",
+        minimum=1e-4,
+        maximum=10.0,
+    ),
+)
+
+FEEDBACK_LOST = FAULTS.number("FEEDBACK_LOST")
+FEEDBACK_INVALID = FAULTS.number("FEEDBACK_INVALID")
+OVERCURRENT = FAULTS.number("OVERCURRENT")
+CURRENT_SUM = FAULTS.number("CURRENT_SUM")
+ENCODER = FAULTS.number("ENCODER")
+OVERSPEED = FAULTS.number("OVERSPEED")
+SPINOUT = FAULTS.number("SPINOUT")
+PREDICTION = FAULTS.number("PREDICTION")
+SCHEME = FAULTS.number("SCHEME")
+INVERTER = FAULTS.number("INVERTER")
 
 # Steps of more periods than this are a loss: five samples in between are missing.
 _GAP = np.uint64(5)
@@ -58,26 +184,86 @@ _FROZEN = 0.05
 _SPINOUT_POWER = 10.0  # W, of both signs
 # Voltage that dead time and on-state voltages may take from the inverter's, over u_dc
 _INVERTER = 0.04
+# Filters of the sum of the phase currents, and of the powers that SPINOUT compares (s)
+_SUM_TIME = 1e-3
+_POWER_TIME = 5e-3
+
+CFG_FIELDS = [
+    ("react", np.bool_),  # whether faults disable the inverter
+    ("overcurrent_sq", np.float64),  # (A^2)
+    ("current_sum", np.float64),  # (A)
+    ("sum_rate", np.float64),  # share of a sample in its filter
+    ("jump", np.float64),  # largest step of the angle (rad, mechanical)
+    ("overspeed", np.float64),  # (rad/s, electrical)
+    ("stored", np.float64),  # 0.75 L / T_s of the motor file: power of a change of |i|^2 (ohm)
+    ("copper", np.float64),  # twice 1.5 R_s of the motor file (ohm)
+    ("torque_per_ampere", np.float64),  # 1.5 psi_f of the motor file: times w_m, power (V s)
+    ("power_rate", np.float64),  # share of a sample in the filter of the powers
+    ("prediction_sq", np.float64),  # (A^2)
+    ("prediction_time", np.float64),  # (s)
+    ("u_dc", np.float64),  # of the motor file (V)
+    ("u_dc_min", np.float64),  # outside these the DC-link sensor is broken (V)
+    ("u_dc_max", np.float64),
+    ("stop_rate", np.float64),  # of safe stop 1 (rad/s^2)
+    ("w_rest", np.float64),  # below this the drive is at rest (rad/s, electrical)
+    ("i_rest_sq", np.float64),  # (A^2)
+]
+
+MEMORY = np.dtype(
+    [
+        ("latch", FAULTS.latch),
+        ("awaits_zero", np.bool_),  # cleared: disabled until the reference has been at zero
+        ("slowing", np.bool_),  # in safe stop 1
+        ("stop_left", np.float64),  # time it may still take (s)
+        ("invalid", np.uint64),  # samples refused since the start
+        ("invalid_in_row", np.int64),
+        ("sum", np.float64),  # of the phase currents, filtered (A)
+        ("angle", np.float64),  # the encoder's, of the sample before (rad)
+        ("unseen", np.float64),  # turned by the estimated speed since the encoder last moved (rad)
+        ("fast", np.float64),  # time at overspeed (s)
+        ("electrical", np.float64),  # filtered powers (W)
+        ("mechanical", np.float64),
+        ("wrong", np.float64),  # time with bad predictions (s)
+        ("overrun", np.float64),  # step time that was too long too often (us); 0: none was
+    ],
+    align=True,
+)
+
+
+def configure(cfg: np.void, motor: EstimatedPars, values: Mapping[str, Any]) -> None:
+    """Take over the limits, from the motor file and the parameters."""
+    T_s, i_max = float(cfg["T_s"]), motor.i_max
+    w_M_max = motor.speed_max_rpm * 2.0 * math.pi / 60.0
+    cfg["react"] = values["fault.react"]
+    cfg["overcurrent_sq"] = (values["fault.overcurrent"] * i_max) ** 2
+    cfg["current_sum"] = values["fault.current_sum"] * i_max
+    cfg["sum_rate"] = 1.0 - math.exp(-T_s / _SUM_TIME)
+    cfg["jump"] = 1.5 * w_M_max * T_s + values["fault.encoder_jump"]
+    cfg["overspeed"] = values["fault.overspeed"] * w_M_max * motor.n_p
+    cfg["stored"] = 0.75 * max(motor.L_d, motor.L_q) / T_s
+    cfg["copper"] = 2.0 * 1.5 * motor.R_s
+    cfg["torque_per_ampere"] = 1.5 * motor.psi_f
+    cfg["power_rate"] = 1.0 - math.exp(-T_s / _POWER_TIME)
+    cfg["prediction_sq"] = (values["fault.prediction_error"] * i_max) ** 2
+    cfg["prediction_time"] = values["fault.prediction_time"]
+    cfg["u_dc"] = motor.u_dc
+    cfg["u_dc_min"] = 0.1 * motor.u_dc
+    cfg["u_dc_max"] = 4.0 * motor.u_dc
+    cfg["stop_rate"] = w_M_max / values["stop.ramp_time"]
+    cfg["w_rest"] = 0.01 * w_M_max * motor.n_p
+    cfg["i_rest_sq"] = (0.01 * i_max) ** 2
 
 
 @kernel
-def report(cfg, mem, fault, value):
+def report(mem, fault, value):
     """Latch a fault with the value that was seen; whether it disables is the caller's matter."""
-    guard = mem.guard
-    bit = np.uint32(1) << np.uint32(fault)
-    guard.present |= bit
-    if guard.faults & bit == np.uint32(0):
-        guard.faults |= bit
-        guard.at[fault] = mem.period
-        guard.value[fault] = value
+    faults.report(mem.guard.latch, fault, mem.period, value)
 
 
 @kernel
 def trip(cfg, mem, fault, value):
     """Latch a fault and disable the inverter."""
-    report(cfg, mem, fault, value)
-    if cfg.react:
-        mem.guard.tripped = True
+    faults.trip(mem.guard.latch, fault, mem.period, value, cfg.react)
 
 
 @kernel
@@ -117,7 +303,7 @@ def refuse(cfg, mem, fb):
 def accept(cfg, mem, fb, step):
     """Return whether the sample, `step` periods after the one before, is to be used."""
     guard = mem.guard
-    guard.present = np.uint32(0)
+    guard.latch.present = np.uint32(0)
     if step > _GAP:
         trip(cfg, mem, FEEDBACK_LOST, step * cfg.T_s)
     if plausible(cfg, fb):
@@ -205,7 +391,7 @@ def misled(cfg, mem):
     if guard.wrong < cfg.prediction_time:
         return False
     guard.wrong = 0.0
-    report(cfg, mem, PREDICTION, math.sqrt(square(mem.e)))
+    report(mem, PREDICTION, math.sqrt(square(mem.e)))
     return True
 
 
@@ -216,7 +402,7 @@ def overran(cfg, mem):
     if took == 0.0:
         return False
     mem.guard.overrun = 0.0
-    report(cfg, mem, SCHEME, took)
+    report(mem, SCHEME, took)
     return True
 
 
@@ -229,14 +415,14 @@ def slow_down(cfg, mem):
     guard.stop_left -= cfg.T_s
     if guard.stop_left <= 0.0 or (cfg.w_M_ref == 0.0 and abs(mem.w_m) < cfg.w_rest):
         guard.slowing = False
-        guard.tripped = True
+        guard.latch.tripped = True
 
 
 @kernel
 def released(cfg, mem):
     """Whether the gates may be on: nothing tripped, and the reference was at zero since."""
     guard = mem.guard
-    if guard.tripped:
+    if guard.latch.tripped:
         return False
     if guard.awaits_zero:
         if cfg.speed_control:
@@ -245,8 +431,3 @@ def released(cfg, mem):
             at_zero = square(cfg.i_dq_ref) <= cfg.i_rest_sq
         guard.awaits_zero = not at_zero
     return not guard.awaits_zero
-
-
-def named(faults: int) -> list[str]:
-    """Codes of the bits that are set."""
-    return [code for bit, code in enumerate(CODES) if faults >> bit & 1]

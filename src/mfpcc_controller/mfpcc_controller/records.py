@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mfpcc_controller import schemes
-from mfpcc_controller.protection import N_FAULTS
+from mfpcc_controller import protection, schemes
 
 CONTROL_CFG = np.dtype(
     [
@@ -45,25 +44,7 @@ CONTROL_CFG = np.dtype(
         # search
         ("rank_sectors", np.bool_),
         ("project", np.bool_),
-        # protection (see `protection`)
-        ("react", np.bool_),  # whether faults disable the inverter
-        ("overcurrent_sq", np.float64),  # (A^2)
-        ("current_sum", np.float64),  # (A)
-        ("sum_rate", np.float64),  # share of a sample in its filter
-        ("jump", np.float64),  # largest step of the angle (rad, mechanical)
-        ("overspeed", np.float64),  # (rad/s, electrical)
-        ("stored", np.float64),  # 0.75 L / T_s of the motor file: power of a change of |i|^2 (ohm)
-        ("copper", np.float64),  # twice 1.5 R_s of the motor file (ohm)
-        ("torque_per_ampere", np.float64),  # 1.5 psi_f of the motor file: times w_m, power (V s)
-        ("power_rate", np.float64),  # share of a sample in the filter of the powers
-        ("prediction_sq", np.float64),  # (A^2)
-        ("prediction_time", np.float64),  # (s)
-        ("u_dc", np.float64),  # of the motor file (V)
-        ("u_dc_min", np.float64),  # outside these the DC-link sensor is broken (V)
-        ("u_dc_max", np.float64),
-        ("stop_rate", np.float64),  # of safe stop 1 (rad/s^2)
-        ("w_rest", np.float64),  # below this the drive is at rest (rad/s, electrical)
-        ("i_rest_sq", np.float64),  # (A^2)
+        *protection.CFG_FIELDS,
         # schemes' own
         *schemes.CFG_FIELDS,
     ],
@@ -79,30 +60,6 @@ OUTPUT = np.dtype(
         ("d_b", np.float64),
         ("u", np.complex128),  # mean voltage in ab, over u_dc
         ("on", np.bool_),  # gates on
-    ],
-    align=True,
-)
-
-GUARD_MEMORY = np.dtype(
-    [
-        ("tripped", np.bool_),  # disabled until cleared
-        ("awaits_zero", np.bool_),  # cleared: disabled until the reference has been at zero
-        ("slowing", np.bool_),  # in safe stop 1
-        ("stop_left", np.float64),  # time it may still take (s)
-        ("present", np.uint32),  # faults whose cause is there at this sample, bit by bit
-        ("faults", np.uint32),  # those latched
-        ("at", np.uint64, (N_FAULTS,)),  # period of the first occurrence
-        ("value", np.float64, (N_FAULTS,)),  # what was seen then
-        ("invalid", np.uint64),  # samples refused since the start
-        ("invalid_in_row", np.int64),
-        ("sum", np.float64),  # of the phase currents, filtered (A)
-        ("angle", np.float64),  # the encoder's, of the sample before (rad)
-        ("unseen", np.float64),  # turned by the estimated speed since the encoder last moved (rad)
-        ("fast", np.float64),  # time at overspeed (s)
-        ("electrical", np.float64),  # filtered powers (W)
-        ("mechanical", np.float64),
-        ("wrong", np.float64),  # time with bad predictions (s)
-        ("overrun", np.float64),  # step time that was too long too often (us); 0: none was
     ],
     align=True,
 )
@@ -147,7 +104,7 @@ CONTROL_MEMORY = np.dtype(
         ("kept", np.bool_),  # the same as at the sample before
         ("fallen", np.bool_),  # the chosen scheme failed; until another one is chosen
         ("failed", np.bool_),  # the fallback failed too: gates off
-        ("guard", GUARD_MEMORY),
+        ("guard", protection.MEMORY),
         # what the scheme did with this sample
         ("eta", np.float64),  # learning rate
         ("updated", np.uint8),  # entries updated, bit by bit

@@ -36,7 +36,7 @@ def take_command(par, st):
 
     That is the command latched for this period. When there is none, the first missing one is
     replaced by the one before (`par.hold`) or by the zero vector, the next ones by the zero
-    vector; the `par.loss_limit`-th in a row blocks the gates until the trip is cleared. Before
+    vector; as many in a row as `COMMAND_LOST` allows block the gates until they are cleared. Before
     the first command of all nothing counts as missing: period 0 has the zero vector, later
     periods have blocked gates.
     """
@@ -48,7 +48,7 @@ def take_command(par, st):
     elif st.armed:
         st.missed += np.uint64(1)
         st.missing_in_row += 1
-        if st.missing_in_row >= par.loss_limit:
+        if st.missing_in_row >= par.limit[COMMAND_LOST]:
             trip(par, st, COMMAND_LOST, st.missing_in_row)
         if not (par.hold and st.missing_in_row == 1):
             for x in range(3):
@@ -58,7 +58,7 @@ def take_command(par, st):
     st.latched = False
     if par.modulator:
         _modulate(par, st)
-    st.gates_on = st.enable and not (st.tripped or st.blocked or st.awaits_off)
+    st.gates_on = st.enable and not (st.latch.tripped or st.blocked or st.awaits_off)
 
 
 @kernel

@@ -87,7 +87,7 @@ class PmsmSim(PwmNode):
         self._rotor_out = self.create_publisher(JointState, "joint_states", 10)
         self._status = StatusPublisher(self, DriveStatus, DriveFault)
         self._stops = Stops(self, "a command that has the gates off, and then one that has them on")
-        self._faults = self.core.st["faults"]
+        self._faults = self.core.st["latch"]["faults"]
         self._injector = self.core.st["injector"][0]
         self._injects = bool(self.values["fault_injection"])
         self._inject_in = self.create_service(InjectFault, "~/inject_fault", self._on_inject)

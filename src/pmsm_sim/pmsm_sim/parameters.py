@@ -6,10 +6,18 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import cast
 
-from pmsm_sim import motor
+from pmsm_sim import motor, protection
 from pmsm_sim.injection import InjectionError, parse
 from pmsm_sim.records import PROFILE_SIZE
-from pwm_node.parameters import Parameter, Table, Value
+from pwm_node.parameters import (
+    PWM_FREQUENCY,
+    RECORDERS,
+    SCHEDULE,
+    Parameter,
+    Table,
+    Value,
+    file_parameter,
+)
 from pwm_node.yaml_files import FileError
 
 
@@ -43,13 +51,10 @@ def _check(values: Mapping[str, Value]) -> str | None:
             f"'dc_link.chopper_off' = {number['dc_link.chopper_off']:g} is out of range: it must "
             f"be below 'dc_link.chopper_on' ({number['dc_link.chopper_on']:g} V)"
         )
-    if number["fault.derating_temperature"] > number["fault.overtemperature"]:
-        return (
-            f"'fault.derating_temperature' = {number['fault.derating_temperature']:g} is out of "
-            f"range: at most 'fault.overtemperature' ({number['fault.overtemperature']:g} degC)"
-        )
     if number["load.shaft_stiffness"] > 0.0 and number["load.inertia"] == 0.0:
         return "'load.inertia' = 0 is out of range: behind an elastic shaft it must be above 0"
+    if reason := protection.check(values):
+        return reason
     return _check_profile(cast("list[float]", values["load.profile"])) or _check_injections(values)
 
 
@@ -90,26 +95,8 @@ def _check_profile(points: list[float]) -> str | None:
 
 TABLE = Table(
     [
-        Parameter(
-            "motor",
-            "seed_750",
-            "Motor: a name of config/motors or the path of a file",
-            read_only=True,
-        ),
-        Parameter(
-            "pwm_frequency",
-            10_000.0,
-            "PWM and control frequency",
-            unit="Hz",
-            minimum=1_000.0,
-            maximum=100_000.0,
-            read_only=True,
-            also=(
-                "f_pwm",
-                "f_s",
-                "T_s",
-            ),
-        ),
+        file_parameter("motor", "seed_750", "motors", "Motor"),
+        PWM_FREQUENCY,
         Parameter(
             "real_time_factor",
             0.0,
@@ -145,13 +132,6 @@ TABLE = Table(
             "What the inverter applies in the first period without a command: the zero vector, or "
             "the command before (hold)",
             choices=("zero", "hold"),
-        ),
-        Parameter(
-            "inverter.command_loss_limit",
-            10,
-            "So many periods in a row without a command block the gates until the trip is cleared",
-            minimum=1,
-            maximum=1_000_000,
         ),
         Parameter(
             "inverter.dead_time",
@@ -209,49 +189,7 @@ TABLE = Table(
             minimum=0.0,
             maximum=1e10,
         ),
-        Parameter(
-            "fault.react",
-            True,
-            "Whether a fault blocks the gates; false only to see what happens then",
-        ),
-        Parameter(
-            "fault.overcurrent",
-            1.5,
-            "Current amplitude that trips, over the motor's current limit",
-            minimum=0.1,
-            maximum=100.0,
-        ),
-        Parameter(
-            "fault.dc_overvoltage",
-            1.318,
-            "DC-link voltage that trips, over the motor's nominal one (seed_750: 410 V)",
-            minimum=1.0,
-            maximum=100.0,
-        ),
-        Parameter(
-            "fault.dc_undervoltage",
-            0.643,
-            "DC-link voltage below which it trips, over the motor's nominal one (seed_750: 200 V)",
-            minimum=0.0,
-            maximum=1.0,
-        ),
-        Parameter(
-            "fault.overtemperature",
-            125.0,
-            "Winding temperature that trips",
-            unit="degC",
-            minimum=0.0,
-            maximum=500.0,
-        ),
-        Parameter(
-            "fault.derating_temperature",
-            100.0,
-            "Winding temperature from which the inverter allows less current, in proportion down "
-            "to none at 'fault.overtemperature'; the same value: it only trips",
-            unit="degC",
-            minimum=0.0,
-            maximum=500.0,
-        ),
+        *protection.PARAMETERS,
         Parameter(
             "fault_injection",
             False,
@@ -639,20 +577,8 @@ TABLE = Table(
             maximum=2**53,
             read_only=True,
         ),
-        Parameter(
-            "recorders",
-            0,
-            "So many recorders are awaited before the first period, so that they miss nothing",
-            minimum=0,
-            maximum=100,
-            read_only=True,
-        ),
-        Parameter(
-            "schedule",
-            [],
-            "Parameter changes at given simulated times, each 'SECONDS NAME VALUE'",
-            read_only=True,
-        ),
+        RECORDERS,
+        SCHEDULE,
     ],
     check=_check,
     follow=_of_the_motor,

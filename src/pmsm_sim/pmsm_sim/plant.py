@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pmsm_sim import flux_map, motor
+from pmsm_sim import flux_map, motor, protection
 from pmsm_sim.general import integrate
 from pmsm_sim.ideal import MOST_STEPS, integrate_ideal
 from pmsm_sim.injection import (
@@ -37,16 +37,7 @@ from pmsm_sim.injection import (
 from pmsm_sim.inverter import take_command
 from pmsm_sim.machine import co_energy, flux, torque
 from pmsm_sim.mechanics import STANDSTILL, profile
-from pmsm_sim.protection import (
-    COMMAND_LOST,
-    DC_OVERVOLTAGE,
-    DC_UNDERVOLTAGE,
-    FAULTS,
-    OVERCURRENT,
-    OVERTEMPERATURE,
-    named,
-    protect,
-)
+from pmsm_sim.protection import FAULTS, protect
 from pmsm_sim.records import (
     FIRST_ENERGY,
     INTEGRATED,
@@ -246,6 +237,7 @@ class Plant:
         self.oversampling: int = values["oversampling"]
         self.par = np.zeros(1, PLANT_PAR)
         self.st = np.zeros(1, PLANT_STATE)
+        self._latch = self.st["latch"][0]
 
         par = self.par
         if self._map is not None:
@@ -281,7 +273,7 @@ class Plant:
             par[field] = values[name]
         par["tau_set"], par["u_dc_set"] = par["tau_L"], par["u_dc"]
         _set_inverter(par, values)
-        _set_protection(par, values, self.motor)
+        protection.configure(par, values, self.motor)
         _set_machine(par, values, self.motor, self._map)
         _set_dc_link(par, values)
         _set_mechanics(par, values, self.motor)
@@ -299,7 +291,7 @@ class Plant:
 
     def stop(self) -> None:
         """Safe torque off: block the gates until they are cleared."""
-        self.st["tripped"] = True
+        self._latch["tripped"] = True
 
     def slow_down(self) -> None:
         """The inverter alone cannot ramp a motor down: as `stop`."""
@@ -308,30 +300,23 @@ class Plant:
     @property
     def tripped(self) -> bool:
         """Whether the gates are off until `clear_faults`."""
-        return bool(self.st["tripped"][0])
+        return bool(self._latch["tripped"])
 
     def clear_faults(self) -> list[str]:
         """Forget the latched faults; returns those whose cause lasts, and then clears none.
 
         The gates come back after a command that has them off, and then one that has them on.
         """
-        lasting = named(int(self.st["present"][0] & self.st["faults"][0]))
+        tripped = self.tripped
+        lasting = FAULTS.clear(self._latch)
         if not lasting:
-            self.st["awaits_off"] |= self.st["tripped"]
-            self.st["tripped"] = False
-            self.st["faults"] = 0
+            self.st["awaits_off"] |= tripped
             self.st["missing_in_row"] = 0
         return lasting
 
     def faults(self) -> list[tuple[str, int, str]]:
         """Latched faults, oldest first: code, period of the first occurrence, what was seen."""
-        st, limit = self.st[0], self.par["limit"][0]
-        found = []
-        for bit, (code, text) in enumerate(FAULTS.items()):
-            if int(st["faults"]) >> bit & 1:
-                detail = text.format(value=float(st["fault_value"][bit]), limit=float(limit[bit]))
-                found.append((code, int(st["fault_at"][bit]), detail))
-        return sorted(found, key=lambda fault: fault[1])
+        return FAULTS.latched(self._latch, self.par["limit"][0])
 
     def inject(
         self,
@@ -424,7 +409,6 @@ _DIRECT = {
     "load_torque": "tau_L",
     "dc_voltage": "u_dc",
     "noise.current_rms": "noise_rms",
-    "inverter.command_loss_limit": "loss_limit",
     "inverter.dead_time": "dead_time",
     "inverter.min_pulse": "min_pulse",
     "inverter.switch_voltage": "switch_voltage",
@@ -457,17 +441,6 @@ def _set_inverter(par: np.void, values: Mapping[str, Any]) -> None:
     counts = 0.5 * values["inverter.timer_clock"] * par["T_s"]
     par["timer_counts"] = max(1.0, round(counts)) if counts > 0.0 else 0.0
     par["modulator"] = counts > 0.0 or values["inverter.min_pulse"] > 0.0
-
-
-def _set_protection(par: np.void, values: Mapping[str, Any], pars: motor.MotorPars) -> None:
-    limit = par["limit"]
-    par["react"] = values["fault.react"]
-    limit[COMMAND_LOST] = values["inverter.command_loss_limit"]
-    limit[OVERCURRENT] = values["fault.overcurrent"] * pars.i_max
-    limit[DC_OVERVOLTAGE] = values["fault.dc_overvoltage"] * pars.u_dc
-    limit[DC_UNDERVOLTAGE] = values["fault.dc_undervoltage"] * pars.u_dc
-    limit[OVERTEMPERATURE] = values["fault.overtemperature"]
-    par["hot"] = values["fault.derating_temperature"]
 
 
 def _set_machine(

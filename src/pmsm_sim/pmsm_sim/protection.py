@@ -9,45 +9,151 @@ comes slowly: before it trips, the inverter allows less current, and tells the c
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
+from pmsm_sim.motor import MotorPars
+from pwm_node import faults
 from pwm_node.compiled import kernel
+from pwm_node.faults import REACT, Fault, Faults
+from pwm_node.parameters import Parameter
 
-#: The inverter's faults; the position is the bit in `PLANT_STATE.faults`.
-FAULTS: dict[str, str] = {
-    "COMMAND_LOST": "{value:.0f} periods in a row without a valid command",
-    "OVERCURRENT": "current amplitude {value:.1f} A, limit {limit:.1f} A",
-    "DC_OVERVOLTAGE": "DC link at {value:.0f} V, limit {limit:.0f} V",
-    "DC_UNDERVOLTAGE": "DC link at {value:.0f} V, at least {limit:.0f} V",
-    "OVERTEMPERATURE": "winding at {value:.0f} degC, limit {limit:.0f} degC",
-}
-CODES = tuple(FAULTS)
-N_FAULTS = len(CODES)
+_OFF = "gates off in the same period"
 
-COMMAND_LOST = CODES.index("COMMAND_LOST")
-OVERCURRENT = CODES.index("OVERCURRENT")
-DC_OVERVOLTAGE = CODES.index("DC_OVERVOLTAGE")
-DC_UNDERVOLTAGE = CODES.index("DC_UNDERVOLTAGE")
-OVERTEMPERATURE = CODES.index("OVERTEMPERATURE")
+#: What the inverter sees; `text` is what it says.
+FAULTS = Faults(
+    Fault(
+        code="COMMAND_LOST",
+        text="{value:.0f} periods in a row without a valid command",
+        reaction="gates off; until then the zero vector, at first perhaps the command before",
+        threshold=Parameter(
+            "inverter.command_loss_limit",
+            10,
+            "So many periods in a row without a command block the gates until the trip is cleared",
+            minimum=1,
+            maximum=1_000_000,
+        ),
+    ),
+    Fault(
+        code="OVERCURRENT",
+        text="current amplitude {value:.1f} A, limit {limit:.1f} A",
+        reaction=_OFF,
+        threshold=Parameter(
+            "fault.overcurrent",
+            1.5,
+            "Current amplitude that trips, over the motor's current limit",
+            minimum=0.1,
+            maximum=100.0,
+        ),
+    ),
+    Fault(
+        code="DC_OVERVOLTAGE",
+        text="DC link at {value:.0f} V, limit {limit:.0f} V",
+        reaction=_OFF,
+        threshold=Parameter(
+            "fault.dc_overvoltage",
+            1.318,
+            "DC-link voltage that trips, over the motor's nominal one (seed_750: 410 V)",
+            minimum=1.0,
+            maximum=100.0,
+        ),
+    ),
+    Fault(
+        code="DC_UNDERVOLTAGE",
+        text="DC link at {value:.0f} V, at least {limit:.0f} V",
+        reaction=_OFF,
+        threshold=Parameter(
+            "fault.dc_undervoltage",
+            0.643,
+            "DC-link voltage below which it trips, over the motor's nominal one (seed_750: 200 V)",
+            minimum=0.0,
+            maximum=1.0,
+        ),
+    ),
+    Fault(
+        code="OVERTEMPERATURE",
+        text="winding at {value:.0f} degC, limit {limit:.0f} degC",
+        reaction=_OFF + "; from 'fault.derating_temperature' on less current",
+        threshold=Parameter(
+            "fault.overtemperature",
+            125.0,
+            "Winding temperature that trips",
+            unit="degC",
+            minimum=0.0,
+            maximum=500.0,
+        ),
+    ),
+)
+
+PARAMETERS = (
+    REACT,
+    *FAULTS.parameters,
+    Parameter(
+        "fault.derating_temperature",
+        100.0,
+        "Winding temperature from which the inverter allows less current, in proportion down "
+        "to none at 'fault.overtemperature'; the same value: it only trips",
+        unit="degC",
+        minimum=0.0,
+        maximum=500.0,
+    ),
+)
+
+COMMAND_LOST = FAULTS.number("COMMAND_LOST")
+OVERCURRENT = FAULTS.number("OVERCURRENT")
+DC_OVERVOLTAGE = FAULTS.number("DC_OVERVOLTAGE")
+DC_UNDERVOLTAGE = FAULTS.number("DC_UNDERVOLTAGE")
+OVERTEMPERATURE = FAULTS.number("OVERTEMPERATURE")
+
+PAR_FIELDS = [
+    ("react", np.bool_),  # whether a fault blocks the gates
+    ("limit", np.float64, (len(FAULTS.rows),)),  # of the quantity that each fault looks at
+    ("hot", np.float64),  # temperature from which less current is allowed (degC)
+]
+
+STATE_FIELDS = [
+    ("latch", FAULTS.latch),
+    ("blocked", np.bool_),  # gates off because nobody wants them to be driven
+    ("awaits_off", np.bool_),  # and until a command has had them off after that or a trip
+    ("derating", np.float64),  # share of the current limit that the temperature allows
+]
+
+
+def check(values: Mapping[str, Any]) -> str | None:
+    """Reason for refusing the values together, or None."""
+    hot, limit = values["fault.derating_temperature"], values["fault.overtemperature"]
+    if hot > limit:
+        return (
+            f"'fault.derating_temperature' = {hot:g} is out of range: at most "
+            f"'fault.overtemperature' ({limit:g} degC)"
+        )
+    return None
+
+
+def configure(par: np.void, values: Mapping[str, Any], motor: MotorPars) -> None:
+    """Take over the limits, from the motor file and the parameters."""
+    limit = par["limit"]
+    par["react"] = values["fault.react"]
+    limit[COMMAND_LOST] = values["inverter.command_loss_limit"]
+    limit[OVERCURRENT] = values["fault.overcurrent"] * motor.i_max
+    limit[DC_OVERVOLTAGE] = values["fault.dc_overvoltage"] * motor.u_dc
+    limit[DC_UNDERVOLTAGE] = values["fault.dc_undervoltage"] * motor.u_dc
+    limit[OVERTEMPERATURE] = values["fault.overtemperature"]
+    par["hot"] = values["fault.derating_temperature"]
 
 
 @kernel
 def trip(par, st, fault, value):
     """Latch a fault with the value that was seen, and block the gates."""
-    bit = np.uint32(1) << np.uint32(fault)
-    st.present |= bit
-    if st.faults & bit == np.uint32(0):
-        st.faults |= bit
-        st.fault_at[fault] = st.period
-        st.fault_value[fault] = value
-    if par.react:
-        st.tripped = True
+    faults.trip(st.latch, fault, st.period, value, par.react)
 
 
 @kernel
 def protect(par, st):
     """Look at current, voltage and temperature; comparisons are written so that NaN trips."""
-    st.present = np.uint32(0)
+    st.latch.present = np.uint32(0)
     i_sq = st.i_d * st.i_d + st.i_q * st.i_q
     if not i_sq <= par.limit[OVERCURRENT] * par.limit[OVERCURRENT]:
         trip(par, st, OVERCURRENT, np.sqrt(i_sq))
@@ -71,9 +177,4 @@ def protect(par, st):
 @kernel
 def allowed_current(st):
     """Share of the current limit that the drive may use: it is told with each sample."""
-    return 0.0 if st.tripped or st.blocked or st.awaits_off else st.derating
-
-
-def named(faults: int) -> list[str]:
-    """Codes of the bits that are set."""
-    return [code for bit, code in enumerate(CODES) if faults >> bit & 1]
+    return 0.0 if st.latch.tripped or st.blocked or st.awaits_off else st.derating

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pmsm_sim import protection
 from pmsm_sim.injection import INJECTOR
-from pmsm_sim.protection import N_FAULTS
 
 # Flux map: most cells along one current, and the spline coefficients they need.
 MAP_CELLS = 24
@@ -62,11 +62,7 @@ PLANT_PAR = np.dtype(
         ("h_general", np.float64),  # and of the general one
         # missing commands (see `inverter.take_command`)
         ("hold", np.bool_),  # whether the first missing command is replaced by the one before
-        ("loss_limit", np.int64),  # so many missing in a row: gates off, latched
-        # protection (see `protection`)
-        ("react", np.bool_),  # whether a fault blocks the gates
-        ("limit", np.float64, (N_FAULTS,)),  # of the quantity that each fault looks at
-        ("hot", np.float64),  # temperature from which less current is allowed (degC)
+        *protection.PAR_FIELDS,
         # what load_torque and dc_voltage say, before injected faults
         ("tau_set", np.float64),  # (N m)
         ("u_dc_set", np.float64),  # (V)
@@ -196,14 +192,7 @@ PLANT_STATE = np.dtype(
         ("missing_in_row", np.int64),
         ("missed", np.uint64),  # since the start
         ("refused", np.uint64),  # since the start
-        ("tripped", np.bool_),  # gates off until cleared
-        ("blocked", np.bool_),  # gates off because nobody wants them to be driven
-        ("awaits_off", np.bool_),  # and until a command has had them off after that or a trip
-        ("derating", np.float64),  # share of the current limit that the temperature allows
-        ("present", np.uint32),  # faults whose cause is there in this period, bit by bit
-        ("faults", np.uint32),  # those latched
-        ("fault_at", np.uint64, (N_FAULTS,)),  # period of the first occurrence
-        ("fault_value", np.float64, (N_FAULTS,)),  # what was seen then
+        *protection.STATE_FIELDS,
         ("gates_on", np.bool_),  # whether the gates are driven in this period
         # the period's switching pattern: seven intervals of constant leg states
         ("t_switch", np.float64, (8,)),  # their limits (s from the start of the period)

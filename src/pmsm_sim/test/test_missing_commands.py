@@ -27,7 +27,7 @@ def test_period_0_has_the_zero_vector_and_then_a_command_has_to_come(bench):
     assert drive.state[0]["gates_on"] and _duties(drive) == [0.5, 0.5, 0.5]
     drive.run(20, command=False)
     assert not drive.state[-1]["gates_on"]
-    assert drive.st["missed"][0] == 0 and not drive.st["tripped"][0]
+    assert drive.st["missed"][0] == 0 and not drive.st["latch"]["tripped"][0]
     assert latch(drive.st, _command(21)) == ACCEPTED
     drive.run(1, command=False)
     assert drive.state[-1]["gates_on"] and _duties(drive) == [0.6, 0.5, 0.4]
@@ -39,7 +39,7 @@ def test_missing_commands_give_the_zero_vector_then_block_the_gates(bench):
     assert _duties(drive) == [0.5, 0.5, 0.5]
     assert drive.column("gates_on").all()
     drive.run(1, command=False)
-    assert not drive.state[-1]["gates_on"] and drive.st["tripped"][0]
+    assert not drive.state[-1]["gates_on"] and drive.st["latch"]["tripped"][0]
     assert drive.st["missed"][0] == 10
     # latched: a new command alone does not bring the power back
     drive.run(3, (0.6, 0.5, 0.4))

@@ -282,3 +282,39 @@ class Table(Mapping[str, Parameter]):
         if self._follow is None:
             return values
         return {**values, **self._follow(values), **given}
+
+
+def file_parameter(name: str, default: str, folder: str, what: str) -> Parameter:
+    """Return a parameter that names a file of `config/<folder>`, to be read at start."""
+    text = f"{what}: a name of config/{folder} or the path of a file"
+    return Parameter(name, default, text, read_only=True)
+
+
+# Parameters that nodes at PWM rate have in common
+
+PWM_FREQUENCY = Parameter(
+    "pwm_frequency",
+    10_000.0,
+    "PWM and control frequency",
+    unit="Hz",
+    minimum=1_000.0,
+    maximum=100_000.0,
+    read_only=True,
+    also=("f_pwm", "f_s", "T_s"),
+)
+
+RECORDERS = Parameter(
+    "recorders",
+    0,
+    "So many recorders are awaited before the first period, so that they miss nothing",
+    minimum=0,
+    maximum=100,
+    read_only=True,
+)
+
+SCHEDULE = Parameter(
+    "schedule",
+    [],
+    "Parameter changes at given simulated times, each 'SECONDS NAME VALUE'",
+    read_only=True,
+)
