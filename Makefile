@@ -31,13 +31,13 @@ demo: build  ## one experiment with three schemes, recorded and compared: out/de
 	    --out out/demo --force
 
 .PHONY: test
-test: build  ## all tests; with ARGS='-k wire' those that you name
-	@$(SET_UP) bench  # the plant is held against the peer that the benches measure
+test:  ## all tests; with ARGS='-k wire' those that you name
+	@$(SET_UP) workspace development
 	$(IN_ENVIRONMENT) python -m pytest $(ARGS)
 
 .PHONY: bench
 bench:  ## every speed figure, beside its reference, measured now
-	@$(SET_UP) bench
+	@$(SET_UP) workspace development
 	$(IN_ENVIRONMENT) python bench $(ARGS)
 
 .PHONY: docs
@@ -52,7 +52,8 @@ soak: build  ## the drive without rest: lost periods, faults, memory (SOAK_MINUT
 	$(IN_ENVIRONMENT) python bench/soak.py --minutes $(SOAK_MINUTES) $(ARGS)
 
 .PHONY: lint
-lint: setup  ## ruff and mypy
+lint:  ## ruff and mypy
+	@$(SET_UP) development
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import os
 import re
 import shutil
@@ -19,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PYTHON_PACKAGES = sorted(file.parent.name for file in ROOT.glob("src/*/setup.py"))
 OURS = (*PYTHON_PACKAGES, "mfpcc_msgs", "mfpcc_config")
 FROM_ROS = get_packages_with_prefixes().keys()
-# rosdep knows no key for these; they come from requirements/run.txt and bench.txt alone.
+# rosdep knows no key for these; they come from requirements/run.txt and dev.txt alone.
 WITHOUT_KEY = ("lz4", "mcap", "motulator", "rosbags", "zstandard")
 # The package of configuration files is used by name, and imported by nobody; what launch files
 # import, they import where they are launched.
@@ -140,21 +141,48 @@ def locked(file: Path) -> dict[str, str]:
     return pinned
 
 
+def locked_names(file: str) -> set[str]:
+    return {name.split(" ")[0] for name in locked(ROOT / f"requirements/{file}.txt")}
+
+
 def test_locks_hold_names_versions_and_hashes_only():
     for file in sorted((ROOT / "requirements").iterdir()):
         assert "://" not in file.read_text(), file.name
-    run, ros, seed = (locked(ROOT / f"requirements/{name}.txt") for name in ("run", "ros", "seed"))
-    assert run
-    assert seed
-    for name in run.keys() & ros.keys():  # they are installed together
-        assert run[name] == ros[name], name
+    locks = {file.stem: locked(file) for file in (ROOT / "requirements").glob("*.txt")}
+    assert {"installer", "seed", "run", "ros", "dev"} == locks.keys()
+    assert all(locks.values())
+    for one, other in itertools.combinations(locks, 2):  # they are installed together
+        for name in locks[one].keys() & locks[other].keys():
+            assert locks[one][name] == locks[other][name], f"{name} in {one} and {other}"
+
+
+def required(*files: str) -> set[str]:
+    """Names that requirements/FILE.in ask for."""
+    text = "".join((ROOT / f"requirements/{file}.in").read_text() for file in files)
+    lines = [line for line in text.splitlines() if line and line[0] != "#"]
+    return {re.split(r"[<>=\[; ]", line)[0].replace("-", "_") for line in lines}
 
 
 def test_all_that_is_imported_is_required():
     used = {name for p in PYTHON_PACKAGES for name in imports(ROOT / "src" / p / p)} - {*FROM_ROS}
-    lines = (ROOT / "requirements/run.in").read_text().splitlines()
-    required = {re.split(r"[<>=\[ ]", line)[0] for line in lines if line and line[0] != "#"}
-    assert {"pyyaml" if name == "yaml" else name for name in used} == required
+    assert {"pyyaml" if name == "yaml" else name for name in used} == required("run")
+
+
+def test_all_that_tests_and_tools_import_is_required():
+    tools = {file.stem for file in (ROOT / "tools").glob("*.py")}
+    folders = [ROOT / "test", ROOT / "bench", ROOT / "tools", *ROOT.glob("src/*/test")]
+    ours = {*OURS, *FROM_ROS, *tools, *(file.stem for file in (ROOT / "bench").glob("*.py"))}
+    used = {name for folder in folders for name in imports(folder)} - ours
+    names = {"yaml": "pyyaml", "markdown_it": "markdown_it_py", "launch": "", "launch_ros": ""}
+    used = {names.get(name, name) for name in used}
+    assert used - {""} <= required("run", "build", "dev", "seed")
+
+
+def test_a_demonstration_needs_nothing_that_only_development_does():
+    runs = set().union(*(locked_names(file) for file in ("seed", "run", "ros")))
+    for name in ("hypothesis", "motulator", "mypy", "pytest-timeout", "ruff", "uv"):
+        assert name in locked_names("dev")
+        assert name not in runs
 
 
 # Set-up ---------------------------------------------------------------------------------------
@@ -179,7 +207,7 @@ def empty(tmp_path: Path) -> Path:
     """Return a workspace with the set-up program and requirements that cannot be had."""
     shutil.copytree(ROOT / "tools", tmp_path / "tools")
     (tmp_path / "requirements").mkdir()
-    for name in ("seed", "run", "ros"):
+    for name in ("installer", "seed", "run", "ros"):
         lock = f"no-such-package-{name}==1.0 --hash=sha256:{'0' * 64}\n"
         (tmp_path / f"requirements/{name}.txt").write_text(lock)
     return tmp_path
@@ -207,15 +235,12 @@ def test_another_ros_distribution_is_refused(empty):
 
 def test_failing_step_is_named_shown_and_not_trusted(empty):
     base = getattr(sys, "_base_executable", sys.executable)
-    for _ in range(2):  # the second call does not take what the first one left for a whole
-        done = run(
-            base, empty / "tools/set_up.py", "environment", PIP_NO_INDEX="1", PIP_FIND_LINKS=""
-        )
-        assert done.returncode == 1
-        assert "the step 'build tools' failed" in done.stderr
-        assert "no-such-package-seed" in done.stdout  # pip's own words
-        assert "venv ..." in done.stdout
-        assert not (empty / ".venv/.complete").exists()
+    done = run(base, empty / "tools/set_up.py", "environment", PIP_NO_INDEX="1", PIP_FIND_LINKS="")
+    assert done.returncode == 1
+    assert "the step 'build tools, by pip' failed" in done.stderr
+    assert "no-such-package-seed" in done.stdout  # pip's own words
+    assert "venv ..." in done.stdout
+    assert not (empty / ".venv/.complete").exists()
 
 
 def test_nothing_is_done_when_all_is_there():

@@ -1,8 +1,10 @@
 """Set up what is missing, and nothing that is not.
 
-    set_up.py environment    .venv: a Python environment with all packages, ROS 2 among them
+    set_up.py environment    .venv: a Python environment with what runs and builds, ROS 2 included
     set_up.py workspace      that, and build/ and install/: the packages of src/ and config/
-    set_up.py bench          that, and what the benches compare with
+    set_up.py development    .venv, and in it what tests, checks and measures
+
+Several may be named. What the machine must have is looked at first.
 
 Each part ends by writing a stamp: hashes of what it was made from. A part whose stamp is right is
 left alone. Any other part loses its stamp first and is made (a part without a stamp from nothing:
@@ -21,27 +23,31 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import sys
-import tempfile
-import time
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, NoReturn
 from xml.etree import ElementTree
+
+import machine
+from installer import Installer
+from steps import SetUpError, StepError, Steps, show
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 BUILD = ROOT / "build"
 INSTALL = ROOT / "install"
 REQUIREMENTS = ROOT / "requirements"
+DEVELOPMENT_LOCK = REQUIREMENTS / "dev.txt"
 
 # The same names are in .gitignore and, for the workspace, in setup.bash.
 ENVIRONMENT_STAMP = VENV / ".complete"
-BENCH_STAMP = VENV / ".bench-complete"
+DEVELOPMENT_STAMP = VENV / ".development-complete"
 WORKSPACE_STAMP = INSTALL / ".complete"
 LOCK = ROOT / ".set-up.lock"
+# The first thing that is put into .venv: what is not marked was made by somebody else.
+MARK = VENV / ".made-by-set-up"
 
 THIS_PYTHON = [sys.executable, sys.version.split()[0]]
 
@@ -54,22 +60,31 @@ READ = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt", "msg/*", "srv/
 Stamp = dict[str, Any]
 
 
-class SetUpError(Exception):
-    """What is wrong, and what to do about it: for a person."""
+PARTS = ("environment", "workspace", "development")
 
 
 def main() -> int:
-    """Make the part that is asked for, and those it needs."""
+    """Make the parts that are asked for, and those they need."""
     parser = argparse.ArgumentParser(description="Set up what is missing.")
-    parser.add_argument("part", choices=("environment", "workspace", "bench"))
-    part = parser.parse_args().part
+    parser.add_argument("parts", nargs="+", choices=PARTS, metavar="|".join(PARTS))
+    parts = parser.parse_args().parts
     signal.signal(signal.SIGTERM, _terminated)
     try:
-        if not _is_complete(part):
+        wrong = machine.path_problem(ROOT)
+        if wrong:
+            raise SetUpError(wrong)
+        if not all(_is_complete(part) for part in parts):
+            _look_at_the_machine()
             with _only_one_at_a_time() as lock:
-                _make(part, lock)
+                _make(parts, Steps(ROOT, lock))
     except SetUpError as error:
+        if isinstance(error, StepError):
+            show(error)
         print(f"set-up: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"set-up: {where}{error.strerror}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("set-up: interrupted; the next call starts that part again", file=sys.stderr)
@@ -85,18 +100,18 @@ def _is_complete(part: str) -> bool:
         return False
     if part == "workspace":
         return _read(WORKSPACE_STAMP) == _workspace_stamp()
-    if part == "bench":
-        return _is_complete("workspace") and _read(BENCH_STAMP) == _bench_stamp()
+    if part == "development":
+        return _read(DEVELOPMENT_STAMP) == _development_stamp()
     return True
 
 
-def _make(part: str, lock: IO[str]) -> None:
+def _make(parts: list[str], steps: Steps) -> None:
     if not _environment_is_complete():
-        _make_environment(lock)
-    if part in ("workspace", "bench") and _read(WORKSPACE_STAMP) != _workspace_stamp():
-        _make_workspace(lock)
-    if part == "bench" and _read(BENCH_STAMP) != _bench_stamp():
-        _make_bench(lock)
+        _make_environment(steps)
+    if "workspace" in parts and not _is_complete("workspace"):
+        _make_workspace(steps)
+    if "development" in parts and not _is_complete("development"):
+        _make_development(steps)
 
 
 def _environment_is_complete() -> bool:
@@ -110,38 +125,61 @@ def _environment_is_complete() -> bool:
     return stamp == _environment_stamp() and (VENV / "bin/python").exists()
 
 
-def _make_environment(lock: IO[str]) -> None:
+def _look_at_the_machine() -> None:
     distro = os.environ.get("ROS_DISTRO", "")
     if distro not in ("", "jazzy"):
         raise SetUpError(
             f"ROS 2 {distro} is sourced in this shell, and this project is made for jazzy. Source "
             "jazzy, or use a shell without ROS_DISTRO: then ROS 2 Jazzy comes from PyPI."
         )
+    lacks = list(machine.problems(ROOT, _environment()))
+    if lacks:
+        raise SetUpError("\n  - ".join(("this machine lacks what the set-up needs:", *lacks)))
+
+
+def _make_environment(steps: Steps) -> None:
+    ours = MARK.exists() or ENVIRONMENT_STAMP.exists()
+    if VENV.exists() and not ours and any(VENV.iterdir()):
+        raise SetUpError(
+            f"{VENV} was not made by this set-up, which would replace it: move it away, or remove "
+            "it, and call make again"
+        )
     print(f"set-up: Python environment .venv, of {' '.join(THIS_PYTHON)}", flush=True)
-    shutil.rmtree(VENV, ignore_errors=True)
+    _remove(VENV)
+    VENV.mkdir()
+    MARK.touch()
     # What the machine's ROS 2 imports (lark, empy, ...) is among the machine's Python packages.
-    see_machine = ["--system-site-packages"] if distro else []
-    _run("venv", [sys.executable, "-m", "venv", *see_machine, VENV], lock)
-    python = VENV / "bin/python"
-    files = _requirement_files()
-    # The first file alone: it is what builds the one package that has no wheel.
-    _run("build tools", [*_pip(python), "-r", files[0]], lock)
-    rest = [argument for file in files[1:] for argument in ("-r", file)]
-    _run(
-        "packages (this takes a minute or two)",
-        [
-            *_pip(python),
-            *("--use-pep517", "--no-build-isolation", "--only-binary=:all:", "--no-binary=empy"),
-            *rest,
-        ],
-        lock,
-    )
-    _run("imports", [python, "-c", "import colcon_core, numba, rclpy"], lock, _environment())
+    see_machine = ["--system-site-packages"] if os.environ.get("ROS_DISTRO") else []
+    venv = [sys.executable, "-m", "venv", *see_machine, str(VENV)]
+    steps.run("venv", venv, environment=_environment())
+    locks = _locks()
+    with _installer(steps) as installer:
+        # The first one alone: it is what builds the one package that has no wheel.
+        installer.install("build tools", locks[0])
+        installer.install("packages", *locks[1:])
+    _check_environment(steps, *locks)
     _write(ENVIRONMENT_STAMP, {**_environment_stamp(), "python": THIS_PYTHON})
 
 
-def _make_workspace(lock: IO[str]) -> None:
-    _look_for_compiler()
+def _make_development(steps: Steps) -> None:
+    DEVELOPMENT_STAMP.unlink(missing_ok=True)
+    print("set-up: what tests, checks and measures", flush=True)
+    with _installer(steps) as installer:
+        installer.install("packages", DEVELOPMENT_LOCK)
+    _check_environment(steps, *_locks(), DEVELOPMENT_LOCK)
+    _write(DEVELOPMENT_STAMP, _development_stamp())
+
+
+def _installer(steps: Steps) -> Installer:
+    return Installer(VENV, REQUIREMENTS / "installer.txt", steps, _environment())
+
+
+def _check_environment(steps: Steps, *locks: Path) -> None:
+    command = [VENV / "bin/python", ROOT / "tools/check_environment.py", *locks]
+    steps.run("check", command, environment=_environment())
+
+
+def _make_workspace(steps: Steps) -> None:
     old, new = _read(WORKSPACE_STAMP), _workspace_stamp()
     WORKSPACE_STAMP.unlink(missing_ok=True)
     packages: dict[str, str] = new["packages"]
@@ -149,35 +187,31 @@ def _make_workspace(lock: IO[str]) -> None:
         before: dict[str, str] = old["packages"]
         changed = [name for name in packages if packages[name] != before.get(name)]
         for name in {*changed, *(before.keys() - packages.keys())}:
-            shutil.rmtree(BUILD / name, ignore_errors=True)
-            shutil.rmtree(INSTALL / name, ignore_errors=True)
+            _remove(BUILD / name)
+            _remove(INSTALL / name)
     else:
         changed = list(packages)
         for folder in (BUILD, INSTALL, ROOT / "log"):
-            shutil.rmtree(folder, ignore_errors=True)
+            _remove(folder)
 
     print(f"set-up: workspace ({', '.join(changed) or 'nothing to build'})", flush=True)
     if changed:
         colcon = (VENV / "bin/python", "-m", "colcon", "build")
         options = ("--event-handlers", "console_direct+", "--packages-select", *changed)
-        _run("colcon build", [*colcon, *options], lock, _environment())
-    use = "source install/setup.bash && python -c 'import mfpcc_msgs.msg'"
-    _run("messages", ["bash", "-c", use], lock, _environment())
+        steps.run("colcon build", [*colcon, *options], environment=_environment())
+    # Plant and controller at the same time: each takes a core.
+    compiled = [
+        ["bash", "-c", f"source install/setup.bash && exec python tools/kernels.py {part}"]
+        for part in ("plant", "controller")
+    ]
+    steps.run("kernels", *compiled, environment=_environment())
     _write(WORKSPACE_STAMP, new)
-
-
-def _make_bench(lock: IO[str]) -> None:
-    BENCH_STAMP.unlink(missing_ok=True)
-    print("set-up: what the benches compare with", flush=True)
-    command = [*_pip(VENV / "bin/python"), "--only-binary=:all:"]
-    _run("packages", [*command, "-r", REQUIREMENTS / "bench.txt"], lock)
-    _write(BENCH_STAMP, _bench_stamp())
 
 
 # What a part is made from --------------------------------------------------------------------
 
 
-def _requirement_files() -> list[Path]:
+def _locks() -> list[Path]:
     sourced = bool(os.environ.get("ROS_DISTRO"))
     names = ("seed.txt", "run.txt") if sourced else ("seed.txt", "run.txt", "ros.txt")
     return [REQUIREMENTS / name for name in names]
@@ -188,7 +222,7 @@ def _environment_stamp() -> Stamp:
     return {
         "folder": str(VENV),  # scripts in an environment name it, so a moved one is of no use
         "ros": sourced or "PyPI",
-        "requirements": _hash_of(_requirement_files()),
+        "requirements": _hash_of(_locks()),
     }
 
 
@@ -200,9 +234,8 @@ def _workspace_stamp() -> Stamp:
     }
 
 
-def _bench_stamp() -> Stamp:
-    bench = _hash_of([REQUIREMENTS / "bench.txt"])
-    return {"environment": _read(ENVIRONMENT_STAMP), "bench": bench}
+def _development_stamp() -> Stamp:
+    return {"environment": _read(ENVIRONMENT_STAMP), "requirements": _hash_of([DEVELOPMENT_LOCK])}
 
 
 def _packages() -> Iterator[tuple[str, Path]]:
@@ -250,86 +283,50 @@ def _write(stamp: Path, content: Stamp) -> None:
 # How a part is made --------------------------------------------------------------------------
 
 
-def _pip(python: Path) -> list[str | Path]:
-    quiet = ("--quiet", "--no-input", "--disable-pip-version-check")
-    # Without --no-deps pip looks for the newest release of what packages with extras ask for, and
-    # refuses it as not pinned: the lock is complete, so nothing is left to resolve.
-    return [python, "-m", "pip", "install", *quiet, "--require-hashes", "--no-deps"]
-
-
 def _environment() -> dict[str, str]:
-    """The variables of a shell in which .venv is active, and nothing of install/ is sourced."""
-    variables = dict(os.environ)
-    for name in ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "PYTHONPATH"):
-        entries = variables.pop(name, "").split(os.pathsep)
+    """The variables of a shell in which .venv is active, and nothing of install/ is sourced.
+
+    Variables that change what Python, CMake, colcon or make do, and that somebody set for another
+    project, do not reach the set-up.
+    """
+    variables = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("PYTHON", "CMAKE_", "COLCON_")) and name not in _NOT_FOR_US
+    }
+    paths = ["AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH"]
+    if os.environ.get("ROS_DISTRO"):
+        paths.append("PYTHONPATH")  # so a sourced ROS 2 is found; without it, it is not for us
+    for name in paths:
+        entries = os.environ.get(name, "").split(os.pathsep)
         others = [entry for entry in entries if entry and not Path(entry).is_relative_to(ROOT)]
         if others:
             variables[name] = os.pathsep.join(others)
+        else:
+            variables.pop(name, None)
+    variables["PYTHONNOUSERSITE"] = "1"
     variables["VIRTUAL_ENV"] = str(VENV)
     variables["PATH"] = f"{VENV / 'bin'}{os.pathsep}{variables.get('PATH', os.defpath)}"
-    # Says that the library path is set for the ROS 2 wheels: but of which environment?
-    variables.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
-    variables.pop("PYTHONHOME", None)
     return variables
 
 
-def _look_for_compiler() -> None:
-    names = [os.environ["CXX"].split()[0]] if os.environ.get("CXX") else ["c++", "g++", "clang++"]
-    if not any(shutil.which(name) for name in names):
-        raise SetUpError(
-            f"the message types need a C++ compiler, and there is none ({', '.join(names)}). "
-            "Install one (on Debian and Ubuntu: apt install g++)."
-        )
+_NOT_FOR_US = (
+    # Says that the library path is set for the ROS 2 wheels: but of which environment?
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+    "BASH_ENV",
+    "DESTDIR",
+    "MAKEFLAGS",
+    "MAKELEVEL",
+    "MFLAGS",
+)
 
 
-def _run(
-    step: str,
-    command: list[str | Path],
-    lock: IO[str],
-    environment: Mapping[str, str] | None = None,
-) -> None:
-    """Run one step; if it fails, show all that it said."""
-    print(f"  {step} ...", end="", flush=True)
-    begin = time.monotonic()
-    with tempfile.TemporaryFile("w+", errors="replace") as output:
-        # In a process group of its own, so that nothing of it is left when it is broken off. It
-        # inherits the lock, so that, should this process be killed, the next waits for its end.
-        process = subprocess.Popen(
-            [str(argument) for argument in command],
-            cwd=ROOT,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            pass_fds=(lock.fileno(),),
-        )
-        try:
-            code = process.wait()
-        except BaseException:
-            print(" broken off", flush=True)
-            _end(process)
-            raise
-        if code == 0:
-            print(f" {time.monotonic() - begin:.0f} s", flush=True)
-            return
-        print(" failed", flush=True)
-        _end(process)
-        output.seek(0)
-        sys.stdout.write(output.read())
-        sys.stdout.flush()
-    raise SetUpError(
-        f"the step '{step}' failed with exit code {code}; above is its output. What it left is "
-        "not used: when the cause is mended, call make again.\n"
-        f"  {' '.join(str(argument) for argument in command)}"
-    )
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a step and all that it started, some of which may outlive it."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+def _remove(folder: Path) -> None:
+    """Remove what the set-up made before, whole."""
+    if folder.is_symlink():
+        folder.unlink()
+    elif folder.exists():
+        shutil.rmtree(folder)
 
 
 @contextmanager

@@ -6,26 +6,44 @@ here=$(cd -- "$(dirname -- "$0")" && pwd -P) || exit 1
 newline='
 '
 
-candidates=${PYTHON-}
-if [ -z "$candidates" ]; then
-    # The Python of a sourced ROS 2 is the machine's own.
-    [ -z "${ROS_DISTRO-}" ] || candidates=/usr/bin/python3
-    pyenv=$(command -v pyenv >/dev/null 2>&1 && pyenv root 2>/dev/null)
-    for version in 3.12 3.13 3.11 3.10; do
-        candidates=$candidates${newline}python$version
-        for interpreter in ${pyenv:+"$pyenv/versions/$version".*/bin/python}; do
-            candidates=$candidates$newline$interpreter
-        done
+# What changes how any Python starts, and was set for another one. PYTHONPATH is how a sourced ROS 2
+# is found; without one there is nothing on it that is for us.
+unset PYTHONHOME PYTHONSTARTUP PYTHONOPTIMIZE PYTHONINSPECT PYTHONEXECUTABLE PYTHONPLATLIBDIR \
+    PYTHONWARNINGS PYTHONSAFEPATH PYTHONCASEOK PYTHONVERBOSE PYTHONBREAKPOINT __PYVENV_LAUNCHER__
+[ -n "${ROS_DISTRO-}" ] || unset PYTHONPATH
+
+# Pythons of a version ("3.12"): on PATH, and of pyenv, be it active in this shell or not.
+of_version() {
+    printf 'python%s\n' "$1"
+    for interpreter in "${PYENV_ROOT:-${HOME-}/.pyenv}/versions/$1"*/bin/python; do
+        case $interpreter in
+            */"$1"/bin/python | */"$1".[0-9]*/bin/python) printf '%s\n' "$interpreter" ;;
+        esac
     done
-    candidates=$candidates${newline}python3
-fi
+}
+
+case ${PYTHON-} in
+    '')
+        # The Python of a sourced ROS 2 is the machine's own.
+        [ -z "${ROS_DISTRO-}" ] || candidates=/usr/bin/python3$newline
+        for version in 3.12 3.13 3.11 3.10; do
+            candidates=${candidates-}$(of_version "$version")$newline
+        done
+        candidates=${candidates}python3
+        ;;
+    python3.* | 3.*) candidates=$(of_version "${PYTHON#python}") ;;
+    *) candidates=$PYTHON ;;
+esac
 
 rejected=
 IFS=$newline
+set -f
 for candidate in $candidates; do
     command -v "$candidate" >/dev/null 2>&1 || continue
     if answer=$("$candidate" "$here/check_python.py" 2>&1); then
-        exec "$answer" "$here/set_up.py" "$@"
+        answer=$(printf '%s\n' "$answer" | tail -n 1)
+        [ ! -x "$answer" ] || exec "$answer" "$here/set_up.py" "$@"
+        answer="says '$answer' instead of where it is"
     fi
     rejected="$rejected$newline  $candidate $(printf '%s\n' "$answer" | head -n 1)"
 done
