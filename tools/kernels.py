@@ -31,7 +31,7 @@ def plant() -> None:
 
 def controller() -> None:
     """Compile what the controller calls in a period, whichever the scheme."""
-    from mfpcc_controller.drive import Controller
+    from mfpcc_controller.controller import Controller
     from mfpcc_controller.parameters import TABLE
 
     core = Controller(TABLE.defaults())
