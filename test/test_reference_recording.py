@@ -11,7 +11,7 @@ import pytest
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_experiments.bags import recording
 from mfpcc_experiments.bags.recording import Recording
-from mfpcc_experiments.measuring import metrics, replay
+from mfpcc_experiments.measuring import happened, metrics, replay
 
 FOLDER = Path(__file__).resolve().parent.parent / "bags" / "reference"
 ANEW = "mfpcc run bags/reference.yaml --engine inprocess --out bags/reference --force"
@@ -47,7 +47,7 @@ def test_the_recording_is_whole_and_measures_as_before(scheme: str) -> None:
     found = read(scheme)
     assert found.notes == []
     assert found.lost_periods == 0
-    assert found.scheme_name == scheme
+    assert happened.history(found).scheme_in(0, 1000) == scheme
     rows = {row["scheme"]: row for row in json.loads((FOLDER / "metrics.json").read_text())}
     assert set(rows) == set(SCHEMES), f"record anew: {ANEW}"
     now = metrics.evaluate(found)

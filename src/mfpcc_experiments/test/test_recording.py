@@ -10,7 +10,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mfpcc_experiments.bags import bag, recording, recover
-from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring import happened, metrics
 
 
 def test_arrays_hold_what_was_written(make_bag):
@@ -36,7 +36,7 @@ def test_a_change_of_scheme_is_seen_row_by_row(make_bag, drive_messages):
     source = (m for name, at in parts for m in drive_messages(50, first=at, scheme=name))
     found = recording.read(make_bag(source=source, config={}))
     assert found.scheme.tolist()[:41] == ["mfpcc"] * 40 + ["mbpcc"] or len(found.notes)
-    assert found.scheme_name.split(" -> ")[-1] == "mls_mfpcc"
+    assert happened.history(found).scheme_in(0, 150).split(" -> ")[-1] == "mls_mfpcc"
 
 
 def test_metrics_of_a_known_drive(make_bag):

@@ -99,15 +99,6 @@ class Recording:
         window = self.config.get("window_s")
         return None if window is None else (float(window[0]), float(window[1]))
 
-    @property
-    def scheme_name(self) -> str:
-        """Scheme of the run: as configured, else as recorded, else unknown."""
-        name = self.config.get("scheme")
-        if isinstance(name, str):
-            return name
-        names = list(dict.fromkeys(self.scheme[:: max(1, len(self.scheme) // 1000)].tolist()))
-        return " -> ".join(names) if names else "unknown"
-
 
 def read(
     path: Path, *, namespace: str | None = None, progress: Progress | None = None

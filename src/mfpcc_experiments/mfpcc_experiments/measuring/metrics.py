@@ -968,7 +968,7 @@ def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> d
             *state.notes,
             *_changes(config),
             *recording.notes,
-            *_of_the_run(recording),
+            *of_the_run(recording),
             *([info(of_resistance)] if of_resistance and "copper_loss_w" not in taken else []),
         )
     ]
@@ -1116,7 +1116,7 @@ class _State:
         if not len(recording.state):
             text = "no drive_state in the recording: no torque, and the speed is the encoder's"
             self.notes.append(info(text))
-        elif w.fine_abc is None and not self._off:
+        elif w.fine_abc is None and self.steady:
             text = "no oversampled waveform in the recording: THD and ripple of the samples only"
             self.notes.append(info(text))
 
@@ -1282,7 +1282,7 @@ def _resistance(
 _PACE_KEPT = 0.98
 
 
-def _of_the_run(recording: Recording) -> list[Note]:
+def of_the_run(recording: Recording) -> list[Note]:
     """What the run left behind at its end: its pace, and commands that came too late."""
     summary = recording.summary
     found = []

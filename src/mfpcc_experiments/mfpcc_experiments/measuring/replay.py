@@ -31,8 +31,9 @@ from mfpcc_controller.controller import Controller, answer
 from mfpcc_controller.parameters import TABLE
 from mfpcc_controller.vectors import LEGS, set_output
 from mfpcc_experiments.bags.recording import Recording
-from mfpcc_experiments.measuring import metrics
-from mfpcc_experiments.measuring.happened import rows_of
+from mfpcc_experiments.measuring import happened, metrics
+from mfpcc_experiments.measuring.happened import rows_of, scheme_title
+from mfpcc_experiments.notes import Note, failure, info
 from pwm_node import schedule
 from pwm_node.compiled import kernel
 from pwm_node.errors import ForPeople
@@ -171,6 +172,8 @@ class Samples:
         Whether the command that answered the sample was recorded.
     duty : ndarray, shape (n, 3)
         Its duties (0..1); nothing of meaning where it was not.
+    past : History
+        What happened when it was recorded.
 
     Raises
     ------
@@ -184,6 +187,7 @@ class Samples:
         self.recording = recording
         self.values = _parameters(recording, changes or {})
         self.feedback = recording.feedback
+        self.past = happened.history(recording)
         period = self.feedback["period"]
         # The command for period k acted while sample k was taken; the one for k + 1 answers it.
         self._acted_row, self.known = rows_of(recording.command["period"], period)
@@ -450,6 +454,7 @@ def summary(
     dict
         Prediction errors in A; differences of the duties (0..1), and of the mean voltage that they
         make in V; `first_difference` is the first period whose command is not the recorded one.
+        With the gates off in the evaluated time there are no figures; the `notes` say so.
     """
     rows = window_rows(samples, window_s)
     error = result.error[rows]
@@ -460,10 +465,10 @@ def summary(
     first = int(samples.feedback["period"][different[0]]) + 1 if len(different) else None
     T_s = samples.recording.T_s
     period = samples.feedback["period"]
-    return {
+    row = {
         "experiment": samples.recording.config.get("experiment"),
-        "recorded_scheme": samples.recording.scheme_name,
-        "scheme": result.scheme,
+        "recorded_scheme": recorded_scheme(samples, window_s),
+        "scheme": _answered(samples, result),
         "motor": str(samples.values["motor"]),
         "samples": len(error),
         "window_s": [float(period[rows][0] * T_s), float((int(period[rows][-1]) + 1) * T_s)],
@@ -477,6 +482,56 @@ def summary(
         "first_difference": first,
         "fell_back": result.fell_back,
     }
+    if _off(samples, rows):
+        for key in ("lut_error_max", "lut_error_rms"):
+            row[key] = {"d": None, "q": None}
+        for key in ("duty_difference_max", "voltage_difference_rms", "same_commands_percent"):
+            row[key] = None
+    notes = [*recorded_notes(samples, window_s), *own_notes(samples, result)]
+    row["notes"] = [note.to_json() for note in notes]
+    return row
+
+
+def _answered(samples: Samples, result: Replay) -> str:
+    """Who answered: the scheme that was asked, and the fallback where it failed."""
+    fallback = samples.values["fallback_scheme"]
+    return f"{result.scheme} -> {fallback}" if result.fell_back else result.scheme
+
+
+def _periods(samples: Samples, rows: slice) -> tuple[int, int]:
+    """The evaluated periods, from and to (not included)."""
+    period = samples.feedback["period"][rows]
+    return int(period[0]), int(period[-1]) + 1
+
+
+def _off(samples: Samples, rows: slice) -> bool:
+    return samples.past.is_off_in(*_periods(samples, rows))
+
+
+def recorded_scheme(samples: Samples, window_s: Sequence[float] | None = None) -> str:
+    """Name of what controlled when the evaluated time was recorded."""
+    return samples.past.scheme_in(*_periods(samples, window_rows(samples, window_s)))
+
+
+def recorded_notes(samples: Samples, window_s: Sequence[float] | None = None) -> list[Note]:
+    """What there is to say of the recording, whoever is asked."""
+    rows = window_rows(samples, window_s)
+    notes = [
+        *samples.past.notes(*_periods(samples, rows)),
+        *samples.recording.notes,
+        *metrics.of_the_run(samples.recording),
+    ]
+    if _off(samples, rows):
+        notes.append(info("no figures that need a driven motor: the gates were off"))
+    return notes
+
+
+def own_notes(samples: Samples, result: Replay) -> list[Note]:
+    """What there is to say of one scheme's answers."""
+    if not result.fell_back:
+        return []
+    asked, fallback = (scheme_title(s) for s in _answered(samples, result).split(" -> "))
+    return [failure(f"{asked} gave no valid output, {fallback} answered from there on")]
 
 
 def window_rows(samples: Samples, window_s: Sequence[float] | None = None) -> slice:
@@ -496,7 +551,7 @@ def recorded(samples: Samples, window_s: Sequence[float] | None = None) -> dict[
     period = samples.feedback["period"]
     row, there = rows_of(lut["period"], period) if len(lut) else (None, np.zeros(1, np.bool_))
     rows = window_rows(samples, window_s)
-    if row is None or not there[rows].all():
+    if row is None or not there[rows].all() or _off(samples, rows):
         return None
     error = lut["prediction_error"][row[rows]]
     return {

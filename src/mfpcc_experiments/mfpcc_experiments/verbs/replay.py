@@ -45,9 +45,11 @@ def command(
 
     The recording's own scheme must give its own commands again; that is checked first. A folder
     then holds metrics.json and the figure. Open loop: what a scheme commands here does not act, so
-    there is no ripple and no THD to be told; for those, run the experiment.
+    there is no ripple and no THD to be told; for those, run the experiment. The exit code is 3
+    where the recorded drive did not do what was asked for, or a scheme gave no valid output.
     """
     from mfpcc_controller.parameters import SCHEMES, TABLE
+    from mfpcc_experiments import notes
     from mfpcc_experiments.bags import recording
     from mfpcc_experiments.files import result_folder
     from mfpcc_experiments.measuring import replay
@@ -77,11 +79,10 @@ def command(
         write_whole(folder / "metrics.json", json.dumps(rows, indent=2) + "\n")
     _print(samples, results, rows)
     click.echo(verdict)
-    for note in read.notes:
-        click.echo(f"{note.severity}: {note}")
     click.echo(f"figure: {out / 'replay.png'}")
     if error is not None:
         raise error
+    click.get_current_context().exit(notes.exit_code(rows))
 
 
 def _change(table: Table, text: str) -> tuple[str, Any]:
@@ -123,7 +124,9 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
     from rich.console import Console
     from rich.table import Table as Grid
 
+    from mfpcc_experiments import notes
     from mfpcc_experiments.measuring import replay
+    from mfpcc_experiments.measuring.happened import scheme_title
 
     def number(value: float | None, digits: int = 3) -> str:
         return "–" if value is None else f"{value:.{digits}f}"
@@ -147,8 +150,8 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
 
     recorded = replay.recorded(samples)
     if recorded is not None:
-        table.add_row(f"recorded ({samples.recording.scheme_name})", *errors(recorded))
-    notes = []
+        name = replay.recorded_scheme(samples)
+        table.add_row(f"recorded ({name})", *errors(recorded))
     for row in rows:
         first = row["first_difference"]
         table.add_row(
@@ -159,9 +162,6 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
             number(row["same_commands_percent"], 1),
             "–" if first is None else str(first),
         )
-        if row["fell_back"]:
-            fallback = samples.values["fallback_scheme"]
-            notes.append(f"{row['scheme']} gave no valid output; {fallback} answered from there on")
     begin, end = rows[0]["window_s"]
     Console(highlight=False).print(table)
     click.echo(
@@ -169,5 +169,12 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
         "of the duties, of the mean voltage, equal commands, and the first period with another one "
         "(of the whole recording)."
     )
-    for note in notes:
-        click.echo(f"note: {note}")
+    of_all = {"notes": [note.to_json() for note in replay.recorded_notes(samples)]}
+    own = [
+        {"notes": [note.to_json() for note in replay.own_notes(samples, result)]}
+        for result in results
+    ]
+    titles = [f"recorded ({scheme_title(replay.recorded_scheme(samples))})"]
+    titles += [scheme_title(row["scheme"]) for row in rows]
+    for line in notes.lines([of_all, *own], titles):
+        click.echo(line)
