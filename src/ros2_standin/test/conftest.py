@@ -14,10 +14,11 @@ from typing import NamedTuple
 import pytest
 from domains import own_domain
 
-from ros2_standin.main import main
+from ros2_standin.main import execute, parse
 
 COMMAND = Path(__file__).parents[1] / "path/ros2"
 REMOTE = Path(__file__).with_name("remote.py")
+SLOW_SERVER = Path(__file__).with_name("slow_server.py")
 PATIENCE = 40.0  # s, for whatever others have to do on a busy machine
 
 
@@ -78,7 +79,7 @@ def ros2(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
     def call(*arguments: object) -> Outcome:
         capsys.readouterr()
         try:
-            code = main([str(argument) for argument in arguments])
+            code = execute(parse([str(argument) for argument in arguments]))
         except SystemExit as end:
             code = end.code
         if isinstance(code, str):
@@ -113,6 +114,15 @@ def domain() -> Iterator[int]:
 def remote(domain: int) -> Iterator[Process]:
     """Another process with nodes to look at."""
     process = Process(REMOTE)
+    process.wait_for("ready")
+    yield process
+    process.end(signal.SIGKILL)
+
+
+@pytest.fixture
+def slow_server(domain: int) -> Iterator[Process]:
+    """Another process with a service, /slow, that never answers."""
+    process = Process(SLOW_SERVER)
     process.wait_for("ready")
     yield process
     process.end(signal.SIGKILL)

@@ -50,7 +50,8 @@ def test_what_is_missing_is_told_in_one_line(ros2, line):
 
 def test_looking_at_packages_does_without_the_middleware():
     program = (
-        "import sys; from ros2_standin.main import main; main(['pkg', 'list'])\n"
+        "import sys; from ros2_standin.main import execute, parse\n"
+        "execute(parse(['pkg', 'list']))\n"
         "sys.exit('rclpy' in sys.modules or 'numpy' in sys.modules)"
     )
     assert (

@@ -44,6 +44,14 @@ def test_services(ros2, eventually):
     assert ros2("service", "call", name, "lifecycle_msgs/srv/Nope").code == 1
 
 
+def test_a_call_ends_when_its_server_has_gone(start, slow_server):
+    call = start("service", "call", "/slow", "std_srvs/srv/Trigger")
+    slow_server.wait_for("asked")
+    slow_server.end(signal.SIGTERM)
+    assert call.end() == 1
+    assert "No answer: who offered the service /slow has gone" in call.out, call.out
+
+
 def test_parameters(ros2, tmp_path):
     assert ros2("param", "get", "remote", "gain").out == "Double value is: 1.5\n"
     assert ros2("param", "get", "/remote", "filter.names").out == "String values are: ['a', 'b']\n"
@@ -66,6 +74,25 @@ def test_parameters(ros2, tmp_path):
     loaded = ros2("param", "load", "remote", file)
     assert loaded.out == "Set parameter gain successful\n"
     assert loaded.err.startswith("Set parameter number failed: ")
+
+
+def test_parameters_are_loaded_from_the_section_of_the_node(ros2, tmp_path):
+    file = tmp_path / "p.yaml"
+    mine, other = "ros__parameters: {gain: 4.5}", "ros__parameters: {gain: 7.5}"
+    for text in (
+        f"/other: {{{other}}}\n/remote: {{{mine}}}\n/zzz: {{{other}}}\n",
+        f"other: {{{other}}}\nremote: {{{mine}}}\n",
+        f"/remote: {{{mine}}}\n/**: {{{other}}}\n",
+        f"/**: {{{mine}}}\n/other: {{{other}}}\n",
+    ):
+        ros2("param", "set", "remote", "gain", "1.5")
+        file.write_text(text)
+        assert ros2("param", "load", "remote", file).out == "Set parameter gain successful\n"
+        assert ros2("param", "get", "remote", "gain").out == "Double value is: 4.5\n", text
+    file.write_text(f"/other: {{{other}}}\n")
+    refused = ros2("param", "load", "remote", file)
+    assert refused.code == 1
+    assert refused.err.endswith("it has nothing for /remote, only for /other\n")
 
 
 def test_parameters_of_all_nodes(ros2, eventually):

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ros2_standin.launching.context import LaunchContext
-from ros2_standin.launching.processes import Node, Supervisor
+from ros2_standin.launching.context import LaunchContext, LaunchError
+from ros2_standin.launching.processes import Node, ParameterValue, Supervisor
 from ros2_standin.launching.substitutions import LaunchConfiguration
 
 HEAD = """
@@ -137,6 +137,15 @@ def test_node_that_is_not_there(ros2, file):
     )
 
 
+def command_line(node, context, monkeypatch):
+    """Return the command line of a node, and what its parameter files hold."""
+    monkeypatch.setattr(node, "_path", lambda context: "/e")
+    command = node.command(context)
+    files = [command[n + 1] for n, part in enumerate(command) if part == "--params-file"]
+    held = [yaml.safe_load(Path(file).read_text()) for file in files if Path(file).is_file()]
+    return command, [one["/**"]["ros__parameters"] for one in held]
+
+
 def test_command_line_of_a_node(tmp_path, monkeypatch):
     context = LaunchContext({"g": "2"}, Supervisor(tmp_path))
     node = Node(
@@ -149,14 +158,57 @@ def test_command_line_of_a_node(tmp_path, monkeypatch):
         remappings=[("old", "new")],
         ros_arguments=["--log-level", "warn"],
     )
-    monkeypatch.setattr(node, "_path", lambda context: "/e")
-    command = node.command(context)
-    values = yaml.safe_load(Path(command.pop(-3)).read_text())
+    command, values = command_line(node, context, monkeypatch)
+    command.pop(-3)
     assert " ".join(command) == (
         "/e a --ros-args --log-level warn -r __node:=n -r __ns:=/axis "
         "--params-file f.yaml --params-file -r old:=new"
     )
-    assert values == {"/**": {"ros__parameters": {"gain": 2, "mode": "fast", "x": 1.5}}}
+    assert values == [{"gain": 2, "mode": "fast", "x": 1.5}]
+
+
+def test_every_dict_of_parameters_counts(tmp_path, monkeypatch):
+    context = LaunchContext({}, Supervisor(tmp_path))
+    dicts = [{"a": 1}, {"b": 2, "a": 3}, {"c": {"d": 4}}]
+    for _ in range(2):  # nor does a second node overwrite them
+        node = Node(package="p", executable="e", parameters=dicts)
+        assert command_line(node, context, monkeypatch)[1] == dicts
+
+
+@pytest.mark.parametrize(
+    ("given", "value"),
+    [
+        # as the real launch_ros takes them
+        ("2025", "2025"),
+        ("/x/box #1", "/x/box #1"),
+        ("a: b", "a: b"),
+        ("", ""),
+        ("true", "true"),
+        (["1", "a: b"], ["1", "a: b"]),
+        ([1, 2.5], [1.0, 2.5]),
+        (LaunchConfiguration("number"), 2025),
+        (LaunchConfiguration("empty"), ""),
+        ([LaunchConfiguration("number"), ".5"], 2025.5),
+        (ParameterValue(LaunchConfiguration("number"), value_type=str), "2025"),
+        (ParameterValue(LaunchConfiguration("odd"), value_type=str), "a: b"),
+        (ParameterValue(LaunchConfiguration("number"), value_type=float), 2025.0),
+        (ParameterValue(LaunchConfiguration("number")), 2025),
+        (ParameterValue("2025", value_type=str), "2025"),
+    ],
+)
+def test_text_stays_text(tmp_path, monkeypatch, given, value):
+    context = LaunchContext({"number": "2025", "odd": "a: b", "empty": ""}, Supervisor(tmp_path))
+    node = Node(package="p", executable="e", parameters=[{"x": given}])
+    [values] = command_line(node, context, monkeypatch)[1]
+    assert values == {"x": value} and type(values["x"]) is type(value)
+
+
+@pytest.mark.parametrize("given", ["a: b", "[1", "null", "{}"])
+def test_text_that_no_parameter_can_be_in_yaml_is_told(tmp_path, monkeypatch, given):
+    context = LaunchContext({"x": given}, Supervisor(tmp_path))
+    node = Node(package="p", executable="e", parameters=[{"x": LaunchConfiguration("x")}])
+    with pytest.raises(LaunchError, match="value_type=str"):
+        command_line(node, context, monkeypatch)
 
 
 @pytest.mark.parametrize(

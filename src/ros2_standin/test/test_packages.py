@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from ros2_standin.main import main
+from ros2_standin.main import execute, parse
 
 PROGRAM = f"""#!{sys.executable}
 import sys
@@ -69,9 +69,9 @@ def test_executables(ros2, prefix):
 
 
 def test_run(prefix, capfd):
-    assert main(["run", "made", "program", "a", "--ros-args", "-p", "x:=1"]) == 0
-    assert main(["run", "--prefix", f"{sys.executable} -B", "made", "program"]) == 0
-    assert main(["run", "made", "program", "fail"]) == 3
+    assert execute(parse(["run", "made", "program", "a", "--ros-args", "-p", "x:=1"])) == 0
+    assert execute(parse(["run", "--prefix", f"{sys.executable} -B", "made", "program"])) == 0
+    assert execute(parse(["run", "made", "program", "fail"])) == 3
     assert capfd.readouterr().out == (
         "given a --ros-args -p x:=1\ngiven\ngiven fail\n[ros2run]: Process exited with failure 3\n"
     )

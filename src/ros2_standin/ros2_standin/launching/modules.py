@@ -31,6 +31,7 @@ CONTENT: dict[str, list[Any]] = {
     ],
     "launch_ros": [],
     "launch_ros.actions": [processes.Node],
+    "launch_ros.parameter_descriptions": [processes.ParameterValue],
     "launch_ros.substitutions": [substitutions.FindPackageShare],
 }
 

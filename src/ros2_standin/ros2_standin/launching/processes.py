@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, get_origin
 
 import yaml
 
@@ -162,17 +162,76 @@ class Node(ExecuteProcess):
         if not isinstance(item, Mapping):
             return text(item, context)
         values = {text(name, context): _value(value, context) for name, value in item.items()}
-        path = context.supervisor.folder / f"launch_params_{len(context.supervisor.started)}.yaml"
-        path.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
-        return str(path)
+        return context.supervisor.write_parameters({"/**": {"ros__parameters": values}})
+
+
+class ParameterValue:
+    """
+    The value of a parameter, with its type.
+
+    Parameters
+    ----------
+    value : object
+        The value, or a text that is known only when the launch file runs.
+    value_type : type, optional
+        `bool`, `int`, `float`, `str` or a list of these; YAML decides where it is not given.
+    """
+
+    def __init__(self, value: Any, *, value_type: Any = None) -> None:
+        self._value = value
+        self._type = value_type
+
+    def evaluate(self, context: LaunchContext) -> Any:
+        """Return the value."""
+        value = self._value
+        if isinstance(value, Substitution) or self._type is str:
+            value = text(value, context)
+            if self._type is str:
+                return value
+            value = _from_yaml(value)
+        if self._type is float and type(value) is int:
+            value = float(value)
+        wanted = get_origin(self._type) or self._type
+        if wanted is not None and type(value) is not wanted:
+            raise LaunchError(f"the parameter value {value!r} is no {wanted.__name__}")
+        return value
 
 
 def _value(value: Any, context: LaunchContext) -> Any:
-    """Return the value of a parameter: texts say in YAML what type they are."""
-    if isinstance(value, (str, Substitution)):
-        return yaml.safe_load(text(value, context))
+    """Return the value of a parameter.
+
+    As in the real launch, a plain text stays what it is, and one that is known only when the launch
+    file runs says in YAML what type it is.
+    """
+    if isinstance(value, ParameterValue):
+        return value.evaluate(context)
+    if isinstance(value, Substitution):
+        return _from_yaml(text(value, context))
     if isinstance(value, Mapping):
-        return {name: _value(inner, context) for name, inner in value.items()}
+        return {text(name, context): _value(inner, context) for name, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        if any(isinstance(part, Substitution) for part in value) and all(
+            isinstance(part, (str, Substitution)) for part in value
+        ):
+            return _from_yaml(text(value, context))  # one text of several parts
+        values = [_value(part, context) for part in value]
+        if {type(part) for part in values} == {int, float}:
+            return [float(part) for part in values]
+        return values
+    return value
+
+
+def _from_yaml(given: str) -> Any:
+    try:
+        value = yaml.safe_load(given) if given else ""
+    except yaml.YAMLError:
+        value = None
+    if not isinstance(value, (bool, int, float, str, list)):
+        raise LaunchError(
+            f"the parameter value '{given}' is in YAML nothing that a parameter can be; if it is "
+            "meant to be a text, wrap it in launch_ros.parameter_descriptions.ParameterValue"
+            "(value, value_type=str)"
+        )
     return value
 
 
@@ -271,15 +330,23 @@ class Supervisor:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.started: list[Process] = []
+        self._files = 0
         self._running: list[Process] = []
         self._ended: queue.Queue[Process] = queue.Queue()
         self._stage = 0  # of the escalation
         self._next_stage_at = float("inf")
         self._asked: list[signal.Signals] = []
 
+    def write_parameters(self, content: Any) -> str:
+        """Write a parameter file of its own, and return its path."""
+        self._files += 1
+        path = self.folder / f"launch_params_{self._files}.yaml"
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        return str(path)
+
     def start(self, process: Process, context: LaunchContext) -> None:
         """Start a process, unless all are being ended."""
-        if self._stage:
+        if self._stage or self._asked:
             return
         self.started.append(process)
         process.label += f"-{len(self.started)}"

@@ -11,7 +11,10 @@ import rclpy
 from ros2_standin.messages import fill, read_values
 from ros2_standin.node import cli_node
 from ros2_standin.types import interface_class
-from ros2_standin.verb import Result
+from ros2_standin.verb import Result, Terminated
+
+#: Time between two looks whether the server is still there (s).
+LOOK_PERIOD = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +53,13 @@ def main(args: argparse.Namespace) -> Result:
             print(f"requester: making request: {request!r}\n")
             called = time.monotonic()
             future = client.call_async(request)
-            rclpy.spin_until_future_complete(node, future)
+            while not future.done():
+                rclpy.spin_until_future_complete(node, future, timeout_sec=LOOK_PERIOD)
+                if not rclpy.ok():
+                    raise Terminated
+                # one that was killed is seen for another 20 s
+                if not future.done() and not client.service_is_ready():
+                    return f"No answer: who offered the service {args.service_name} has gone"
             if future.result() is None:
                 return f"Exception while calling service: {future.exception()!r}"
             print(f"response:\n{future.result()!r}\n")
