@@ -58,6 +58,11 @@ class Process:
             self._news.notify_all()
 
     @property
+    def pid(self) -> int:
+        """Number of the process, and of its group."""
+        return self._popen.pid
+
+    @property
     def ended(self) -> bool:
         """Whether nothing more will be printed."""
         with self._news:

@@ -53,6 +53,7 @@ class Outside:
         latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         subscribe(DriveStatus, "drive_status", self._on_status, latest)
         self._clients: dict[str, AsyncParameterClient] = {}
+        self._services: dict[str, Any] = {}
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
 
@@ -108,6 +109,25 @@ class Outside:
             Parameter(name.replace("__", "."), value=value) for name, value in values.items()
         ]
         return self._answer(self._client(node).set_parameters(parameters)).results
+
+    def ask(self, service: str, kind: Any, request: Any) -> Any:
+        """Call a service, given its whole name and its type, and return the response."""
+        if service not in self._services:
+            self._services[service] = self.node.create_client(kind, service)
+        client = self._services[service]
+        assert client.wait_for_service(PATIENCE), f"{service} is not there"
+        answers: list[Any] = []
+
+        def answered() -> bool:
+            # what a server answers before it has seen the client is lost
+            future = client.call_async(request)
+            self.executor.spin_until_future_complete(future, timeout_sec=5.0)
+            if future.done():
+                answers.append(future.result())
+            return bool(answers)
+
+        until(answered, f"{service} answers")
+        return answers[0]
 
     def call(self, node: str, service: str) -> Trigger.Response:
         """Call one of a node's services without arguments."""

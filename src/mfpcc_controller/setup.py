@@ -12,15 +12,13 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),
+        # Executables of our own, where `ros2 run` looks: Ctrl-C is answered from their first
+        # moment on.
+        (f"lib/{package}", ["bin/controller"]),
     ],
     zip_safe=False,
     maintainer="MFPCC maintainers",
     maintainer_email="maintainers@example.org",
     description="The drive controller: schemes, speed loop and rotor observer, in one thin node",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "controller = mfpcc_controller.node:main",
-        ],
-    },
 )

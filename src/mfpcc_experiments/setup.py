@@ -12,6 +12,9 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),
+        # Executables of our own, where `ros2 run` looks: Ctrl-C is answered from their first
+        # moment on.
+        (f"lib/{package}", ["bin/drive", "bin/record", "bin/replay"]),
         (f"share/{package}/launch", ["launch/drive.launch.py", "launch/two_axes.launch.py"]),
         ("bin", ["bin/mfpcc"]),  # on PATH, unlike what is in lib/
     ],
@@ -20,11 +23,4 @@ setup(
     maintainer_email="maintainers@example.org",
     description="Experiments with the drive, and the command mfpcc",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "drive = mfpcc_experiments.graph.drive:main",
-            "record = mfpcc_experiments.graph.recorder:main",
-            "replay = mfpcc_experiments.graph.replayer:main",
-        ],
-    },
 )

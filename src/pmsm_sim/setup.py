@@ -12,15 +12,13 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),
+        # Executables of our own, where `ros2 run` looks: Ctrl-C is answered from their first
+        # moment on.
+        (f"lib/{package}", ["bin/pmsm_sim"]),
     ],
     zip_safe=False,
     maintainer="MFPCC maintainers",
     maintainer_email="maintainers@example.org",
     description="The plant: inverter, machine, load and sensors, in one thin node",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "pmsm_sim = pmsm_sim.node:main",
-        ],
-    },
 )

@@ -15,11 +15,12 @@ import importlib
 import pkgutil
 import sys
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
 from mfpcc_experiments import verbs
+from pwm_node import interrupts
 from pwm_node.errors import ForPeople
 from pwm_node.names import unknown
 
@@ -103,8 +104,11 @@ def run(args: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         return _say(_one_line(error.format_message()), code=1)
     except (KeyboardInterrupt, click.Abort):
-        return _say("interrupted", code=130)
+        return _say("interrupted", code=interrupts.exit_code() or 130)
     except Exception as error:  # noqa: BLE001 (here is where all of them end)
+        interrupted = interrupts.exit_code()
+        if interrupted is not None:
+            return _say("interrupted", code=interrupted)  # some library made of it what it knows
         explanation = _explanation(error)
         if explanation is not None:
             return _say(explanation, code=1)
@@ -114,11 +118,6 @@ def run(args: Sequence[str] | None = None) -> int:
             code=1,
         )
     return code if isinstance(code, int) else 0
-
-
-def main() -> NoReturn:
-    """Entry point of the command `mfpcc`."""
-    sys.exit(run())
 
 
 def _say(text: str, *, code: int) -> int:

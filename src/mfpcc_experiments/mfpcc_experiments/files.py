@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import click
 
+from pwm_node import interrupts
 from pwm_node.errors import ForPeople
 
 #: The file that every folder of results has, and by which it is known as one.
@@ -38,8 +40,8 @@ def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
     Yields
     ------
     Path
-        The folder to work in, `<path>.partial-<process>`. If the work fails it is removed, unless
-        there are recordings in it: those may be all that is left of a long run.
+        The folder to work in, `<path>.partial-<process>`. If the work fails, or is interrupted, it
+        is removed, unless there are recordings in it: those may be all that is left of a long run.
 
     Raises
     ------
@@ -48,26 +50,45 @@ def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
     """
     _check(path, force)
     path = path.resolve()  # of a link, the folder it leads to is replaced, not the link
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.partial-{os.getpid()}")
-    partial.mkdir()
-    try:
-        yield partial
-        _check(path, force)  # the work took its time: the folder may have appeared since
-    except BaseException:
-        if any(bag.stat().st_size > _EMPTY_BAG for bag in partial.rglob("*.mcap")):
-            click.echo(f"what was recorded until then is kept in {partial}", err=True)
-        else:
-            shutil.rmtree(partial, ignore_errors=True)
-        raise
-    if path.exists():
-        # Two renames, so that there is never a folder with something of both.
-        replaced = path.with_name(f"{path.name}.replaced-{os.getpid()}")
-        path.rename(replaced)
-        partial.rename(path)
-        shutil.rmtree(replaced)
-    else:
-        partial.rename(path)
+    with interrupts.undone():
+        new = [folder for folder in path.parents if not folder.exists()]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = _new_folder(path, "partial")
+        try:
+            yield partial
+            _check(path, force)  # the work took its time: the folder may have appeared since
+        except BaseException:
+            with interrupts.finished():
+                if any(bag.stat().st_size > _EMPTY_BAG for bag in partial.rglob("*.mcap")):
+                    click.echo(f"what was recorded until then is kept in {partial}", err=True)
+                else:
+                    shutil.rmtree(partial, ignore_errors=True)
+                    with contextlib.suppress(OSError):  # not empty: somebody else's, too
+                        for folder in new:
+                            folder.rmdir()
+            raise
+        with interrupts.finished():
+            if path.exists():
+                # Two renames, so that there is never a folder with something of both.
+                replaced = _new_folder(path, "replaced")
+                path.rename(replaced)
+                partial.rename(path)
+                shutil.rmtree(replaced)
+            else:
+                partial.rename(path)
+
+
+def _new_folder(path: Path, what: str) -> Path:
+    """Make `<path>.<what>-<process>`; containers that share a disk may have processes alike."""
+    n = 1
+    while True:
+        number = f"{os.getpid()}-{n}" if n > 1 else f"{os.getpid()}"
+        folder = path.with_name(f"{path.name}.{what}-{number}")
+        try:
+            folder.mkdir()
+            return folder
+        except FileExistsError:
+            n += 1
 
 
 def _check(path: Path, force: bool) -> None:

@@ -23,19 +23,27 @@ def progress_bar() -> Iterator[Callable[[str, float], Tell]]:
     from rich import progress
     from rich.console import Console
 
+    from pwm_node import interrupts
+
     columns = (
         progress.TextColumn("{task.description:<12}"),
         progress.BarColumn(),
         progress.TaskProgressColumn(),
         progress.TimeElapsedColumn(),
     )
-    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
+    # an interrupt gives the terminal its cursor back
+    with interrupts.undone(), progress.Progress(*columns, console=Console(stderr=True)) as bar:
 
         def step(name: str, total: float) -> Tell:
             for task in bar.tasks:
                 bar.update(task.id, completed=task.total)
             identity = bar.add_task(name, total=total)
-            return lambda done: bar.update(identity, completed=done)
+
+            def tell(done: float) -> None:
+                interrupts.check()
+                bar.update(identity, completed=done)
+
+            return tell
 
         yield step
         for task in bar.tasks:

@@ -345,7 +345,7 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 def test_nothing_is_said_to_a_reader_that_has_gone() -> None:
-    code = "from mfpcc_experiments import cli; cli.main()"
+    code = "import sys; from mfpcc_experiments import cli; sys.exit(cli.run())"
     with subprocess.Popen(
         [sys.executable, "-c", code, "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:

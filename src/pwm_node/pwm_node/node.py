@@ -7,6 +7,7 @@ publishes; it counts in `period`, so that the watch can see that the loop goes o
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -21,7 +22,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
 
-from pwm_node import only_one, ros_parameters, schedule
+from pwm_node import guard, names, only_one, ros_parameters, schedule
 from pwm_node.diagnostics import Level, Part, StepTimes
 from pwm_node.loop_topics import LoopPublisher, LoopSubscription
 from pwm_node.parameters import Parameter, ParameterError, Table, Value
@@ -104,6 +105,12 @@ class PwmNode(LifecycleNode):
         self, name: str, table: Table, *, also_known: Iterable[str] = (), **options: Any
     ) -> None:
         super().__init__(name, **options)
+        for service in self.services:
+            if service.srv_type.__module__.startswith("lifecycle_msgs."):
+                # rclpy makes these in a way of its own
+                service.callback = guard.service(
+                    service.callback, service.srv_type, service.srv_name, self.get_logger()
+                )
         self._claim: int | None = None
         self.table = table if AUTOSTART.name in table else table.extended(AUTOSTART)
         self.active = False
@@ -145,14 +152,22 @@ class PwmNode(LifecycleNode):
         """Declare the table, with the values given at start, and return all values."""
         # rclpy has no public way to see what was given for parameters before they are declared.
         given = self._parameter_overrides
+        shared = ros_parameters.shared_names(sys.argv)
         changes: dict[str, Any] = {}
+        ignored = []
         for name, parameter in given.items():
             if name in self.table:
                 changes[name] = ros_parameters.from_ros(self.table[name], parameter.value)
-            elif not (
+            elif (
                 self.has_parameter(name) or name in also_known or name.startswith("qos_overrides.")
             ):
+                pass  # somebody else's
+            elif name in shared:
+                ignored.append(name)
+            else:
                 raise self.table.unknown(name)
+        if ignored:
+            self._tell_ignored(ignored, shared)
         values = self.table.complete(changes)
         for name, parameter in self.table.items():
             self.declare_parameter(
@@ -164,6 +179,15 @@ class PwmNode(LifecycleNode):
         self.add_on_set_parameters_callback(self._on_set)
         self.add_post_set_parameters_callback(self._post_set)
         return values
+
+    def _tell_ignored(self, ignored: Sequence[str], files: Mapping[str, str]) -> None:
+        """Say which parameters given to whoever has them this node has not: one may be misspelt."""
+        told = []
+        for name in ignored:
+            near = names.nearest(name, self.table)
+            told.append(f"{name} (did you mean {near}?)" if near else name)
+        places = ", ".join(sorted({files[name] for name in ignored}))
+        self.get_logger().warning(f"{places}: parameters of others, ignored: {', '.join(told)}")
 
     def set_parameters(self, parameter_list: list[RosParameter]) -> list[SetParametersResult]:
         """Set parameters one by one."""
@@ -239,6 +263,27 @@ class PwmNode(LifecycleNode):
                 self.get_logger().error(f"scheduled change of period {due}: {result.reason}")
         self.next_change = self._schedule[0][0] if self._schedule else _NEVER
 
+    # Off the loop ---------------------------------------------------------------------------
+
+    def create_service(  # type: ignore[override]
+        self, srv_type: Any, srv_name: str, callback: guard.Service, **options: Any
+    ) -> Any:
+        """Create a service; a request that its callback raises at is refused."""
+        guarded = guard.service(callback, srv_type, srv_name, self.get_logger())
+        return super().create_service(srv_type, srv_name, guarded, **options)
+
+    def create_subscription(  # type: ignore[override]
+        self, msg_type: Any, topic: str, callback: Callable[..., None], *rest: Any, **options: Any
+    ) -> Any:
+        """Create a subscription; a message that its callback raises at is dropped.
+
+        Those of the loop, which are `raw`, are not guarded: a period that cannot be handled ends
+        the run, with the gates off.
+        """
+        if not options.get("raw"):
+            callback = guard.callback(callback, f"{topic}: message dropped", self.get_logger())
+        return super().create_subscription(msg_type, topic, callback, *rest, **options)
+
     # Topics of the loop ---------------------------------------------------------------------
 
     def create_loop_publisher(self, msg_class: Any, topic: str) -> LoopPublisher:
@@ -309,7 +354,12 @@ class PwmNode(LifecycleNode):
         """Come to a safe rest before the process ends."""
         self.stopping = True
         if self.active and self.context.ok():
-            self.trigger_deactivate()
+            try:
+                self.trigger_deactivate()
+            except rclpy_implementation.RCLError:
+                # it was stopped on its way to being active, where there is no way back by ROS
+                self._transition("deactivate", self.deactivate)
+                self.active = False
         deadline = time.monotonic() + _FLUSH
         for publisher in self.loop_publishers:
             if self.context.ok():
@@ -364,7 +414,7 @@ class PwmNode(LifecycleNode):
         try:
             hook()
         except Exception as error:  # noqa: BLE001 (whatever it is, it must be said)
-            self.get_logger().error(f"cannot {name}: {describe(error)}")
+            self.get_logger().error(f"cannot {name}: {guard.describe(error)}")
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
@@ -398,7 +448,7 @@ class PwmNode(LifecycleNode):
                 self._next_stall = stalled + _STALL_STEP
                 self.on_stall(stalled)
         if now - self._told_at >= 1.0:
-            self._tell(now)
+            guard.callback(self._tell, "/diagnostics", self.get_logger())(now)
 
     def _silence(self, awaited: LoopSubscription, seconds: float) -> str:
         if self.count_publishers(awaited.topic):
@@ -461,21 +511,6 @@ class PwmNode(LifecycleNode):
                 "step time maximum (us)": longest,
             },
         )
-
-
-def describe(error: BaseException) -> str:
-    """Return an error as one line: our own say all, of others the place is named too."""
-    text = str(error) or type(error).__name__
-    if isinstance(error, rclpy_implementation.RCLError):
-        return text.split(", at /")[0]  # what follows are places in C sources
-    if isinstance(error, ValueError) and type(error) is not ValueError:
-        return text
-    place = ""
-    trace = error.__traceback__
-    while trace is not None:
-        place = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})"
-        trace = trace.tb_next
-    return f"{type(error).__name__}: {text}{place}"
 
 
 def _text(value: object) -> str:

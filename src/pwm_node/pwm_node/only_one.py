@@ -51,6 +51,11 @@ def claim(name: str, domain: int) -> int | None:
     except BlockingIOError:
         process = os.read(file, 20).decode("ascii", "replace")
         os.close(file)
+        if process == str(os.getpid()):
+            raise TakenError(
+                f"two nodes of this process would be named {name}: a new name for one of them "
+                "needs the old one in front of it ('-r pmsm_sim:__node:=plant')"
+            ) from None
         raise TakenError(
             f"a node {name} is running already on this machine (process {process}, "
             f"ROS_DOMAIN_ID={domain}): stop it, or give this one another namespace "

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter as RosParameter
 
@@ -62,3 +65,50 @@ def from_ros(parameter: Parameter, value: Any) -> Any:
         # An empty list in a parameter file has no type, and comes as None.
         return [text for text in value or () if text != ""]
     return value
+
+
+def shared_names(arguments: Sequence[str]) -> dict[str, str]:
+    """Return the parameters that a command line gives to whoever has them.
+
+    Those are the ones in sections like ``/**`` of its parameter files.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line.
+
+    Returns
+    -------
+    dict
+        The file of each name.
+    """
+    found: dict[str, str] = {}
+    for option, path in itertools.pairwise(arguments):
+        if option != "--params-file":
+            continue
+        with open(path, encoding="utf-8") as file:
+            sections = yaml.safe_load(file)
+        for nodes, section in _sections(sections):
+            if "*" in nodes:
+                found |= dict.fromkeys(_flat(section), path)
+    return found
+
+
+def _sections(content: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield name and parameters of each section; namespaces may be keys of their own."""
+    if not isinstance(content, Mapping):
+        return
+    for key, value in content.items():
+        if key == "ros__parameters":
+            yield prefix, value
+        else:
+            yield from _sections(value, f"{prefix}/{key}")
+
+
+def _flat(section: Any, prefix: str = "") -> Iterator[str]:
+    if isinstance(section, Mapping):
+        for key, value in section.items():
+            if isinstance(value, Mapping):
+                yield from _flat(value, f"{prefix}{key}.")
+            else:
+                yield f"{prefix}{key}"

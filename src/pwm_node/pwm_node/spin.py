@@ -16,25 +16,24 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import rclpy
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import get_default_context
 
+from pwm_node import interrupts, ros_environment
+from pwm_node.guard import describe
 from pwm_node.loop_topics import LoopSubscription
-from pwm_node.node import AUTOSTART, PwmNode, describe
+from pwm_node.node import AUTOSTART, PwmNode
 
 # Callbacks served in a row: far more than are ever due, and an end if the executor should lose the
 # task that says that they were served.
 _SERVED_AT_ONCE = 1000
 _SERVE_EVERY = 0.004  # s
 _IDLE = 0.2  # s
-_IMPATIENT_AFTER = 2.0  # s
 
 
 class _Stop:
@@ -42,6 +41,7 @@ class _Stop:
 
     def __init__(self, nodes: Sequence[Node]) -> None:
         self.requested = False
+        self.starting = False
         self._nodes = nodes
 
     def request(self) -> None:
@@ -72,12 +72,7 @@ def main(*factories: Callable[[], Node], args: Sequence[str] | None = None) -> i
     context: Context = get_default_context()
     with _signals(stop):
         try:
-            # The signals are ours: rclpy's would shut the context down at once, and then a node
-            # could not publish any more that its gates go off.
-            rclpy.init(
-                args=None if args is None else list(args),
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
+            ros_environment.init(args, context)
             for factory in factories:
                 if stop.requested:
                     return 0
@@ -95,8 +90,8 @@ def main(*factories: Callable[[], Node], args: Sequence[str] | None = None) -> i
 def run(nodes: Sequence[Node], *, until: Future | None = None) -> int:
     """Start nodes and serve them until they are stopped.
 
-    SIGINT and SIGTERM stop, also when they come twice, and so does the Future `finished` of a node
-    that has one. A `PwmNode` is deactivated at the end.
+    SIGINT, SIGTERM and SIGHUP stop, also when they come twice, and so does the Future `finished` of
+    a node that has one. A `PwmNode` is deactivated at the end.
 
     Parameters
     ----------
@@ -123,7 +118,7 @@ def _run(nodes: Sequence[Node], until: Future, stop: _Stop) -> int:
             finished = getattr(node, "finished", None)
             if finished is not None:
                 finished.add_done_callback(lambda _: _complete(until))
-        if not _start(nodes):
+        if not _start(nodes, stop):
             return 1
         _spin(executor, until, stop)
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -146,17 +141,23 @@ def _complete(future: Future) -> None:
         future.set_result(None)
 
 
-def _start(nodes: Sequence[Node]) -> bool:
+def _start(nodes: Sequence[Node], stop: _Stop) -> bool:
     """Configure and activate the managed nodes, unless their `autostart` is off.
 
     All are configured before one is activated, and the last is activated first, so that who answers
-    is ready before who begins.
+    is ready before who begins. Kernels may have to be compiled for it, which a stop does not wait
+    for: it raises `KeyboardInterrupt`.
     """
     success = TransitionCallbackReturn.SUCCESS
     starting = [n for n in nodes if isinstance(n, PwmNode) and n.values[AUTOSTART.name]]
-    return all(node.trigger_configure() == success for node in starting) and all(
-        node.trigger_activate() == success for node in reversed(starting)
-    )
+    stop.starting = True
+    try:
+        return stop.requested or (
+            all(node.trigger_configure() == success for node in starting)
+            and all(node.trigger_activate() == success for node in reversed(starting))
+        )
+    finally:
+        stop.starting = False
 
 
 def _spin(executor: Any, until: Future, stop: _Stop) -> None:
@@ -224,7 +225,7 @@ def _serve_what_is_due(executor: Any) -> None:
 
 @contextmanager
 def _signals(stop: _Stop) -> Iterator[None]:
-    """Let SIGINT and SIGTERM request the stop.
+    """Let SIGINT, SIGTERM and SIGHUP (the terminal was closed) request the stop.
 
     Ctrl-C reaches a node twice under ``ros2 launch``, so a second signal soon after the first is
     not one more. Somebody who still asks after two seconds gets the default action.
@@ -239,12 +240,17 @@ def _signals(stop: _Stop) -> Iterator[None]:
         now = time.monotonic()
         if first is None:
             first = now
+            interrupts.note(number)
             stop.request()
-        elif now - first > _IMPATIENT_AFTER:
+            if stop.starting:
+                raise KeyboardInterrupt
+        elif now - first > interrupts.IMPATIENT_AFTER:
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)
 
-    kinds = (signal.SIGINT, signal.SIGTERM)
+    kinds = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as of `nohup`
+        kinds.append(signal.SIGHUP)
     before = [signal.signal(kind, handle) for kind in kinds]
     try:
         yield

@@ -12,6 +12,7 @@ from functools import partial
 from types import ModuleType
 from typing import Any
 
+from pwm_node import ros_environment
 from ros2_standin.catalogue import COMMANDS, MISSING_COMMANDS, Command, not_here
 from ros2_standin.verb import Result, Terminated
 
@@ -106,32 +107,36 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main(argv: Sequence[str] | None = None) -> Result:
-    """
-    Run one command line.
+def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
+    """Read a command line, that of the process unless given, and import the verb."""
+    return build_parser().parse_args(argv)
 
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The arguments; those of the process if not given.
+
+def execute(args: argparse.Namespace) -> Result:
+    """
+    Run a verb.
 
     Returns
     -------
     int, str or None
-        What ``sys.exit`` takes.
+        What ``sys.exit`` takes; for Ctrl-C the number of the signal, as of ROS 2's own command.
     """
-    args = build_parser().parse_args(argv)
+    try:
+        return _execute(args)
+    except KeyboardInterrupt:
+        return signal.SIGINT
+
+
+def _execute(args: argparse.Namespace) -> Result:
     if not args.use_python_default_buffering and hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(line_buffering=True)
     try:
         return args.run(args)
-    except KeyboardInterrupt:
-        return signal.SIGINT
     except Terminated:
         return signal.SIGTERM
     except BrokenPipeError:
         # The reader (`... | head`) has what it wanted. What is left in the buffer goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (RuntimeError, OSError) as error:
-        return str(error)
+    except (RuntimeError, OSError, ros_environment.RosError) as error:
+        return ros_environment.plain(str(error))

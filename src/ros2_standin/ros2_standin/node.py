@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
+from pwm_node import ros_environment
 from ros2_standin.verb import Terminated
 
 #: Time it takes to see who is there (s), unless told otherwise.
@@ -73,6 +74,7 @@ def cli_node(
     ros_args : sequence of str
         As after ``--ros-args``.
     """
+    ros_environment.check()
     rclpy.init(args=["--ros-args", *ros_args] if ros_args else [])
     try:
         node = rclpy.create_node(

@@ -43,7 +43,7 @@ from rclpy.timer import Timer
 from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
 from mfpcc_experiments.bags.provenance import versions
 from pmsm_sim import motor
-from pwm_node import stamps
+from pwm_node import guard, stamps
 from pwm_node.yaml_files import FileError
 
 #: What is kept of the time before a fault and after it (simulated s).
@@ -143,7 +143,11 @@ class BlackBox:
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="black_box")
         self._writing: Future[None] | None = None
         latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(DriveStatus, _STATUS, self._on_status, latest, raw=True)
+        logger = node.get_logger()
+        # Whatever comes: a black box is no reason for a drive to end.
+        on_status = guard.callback(self._on_status, f"{_STATUS}: message dropped", logger)
+        self._look = guard.callback(self._look_on, "black box", logger)
+        node.create_subscription(DriveStatus, _STATUS, on_status, latest, raw=True)
 
     def close(self) -> None:
         """Write what is there of a fault whose time after it has not come."""
@@ -153,8 +157,8 @@ class BlackBox:
 
     def _on_status(self, data: bytes) -> None:
         """Look for faults that are new: one opens an event, unless the drive was down already."""
-        self._statuses.append(data)
         status = deserialize_message(data, DriveStatus)
+        self._statuses.append(data)
         known = self._known.get(status.node, set())
         self._known[status.node] = {(fault.code, fault.period) for fault in status.faults}
         new = [fault for fault in status.faults if (fault.code, fault.period) not in known]
@@ -178,7 +182,7 @@ class BlackBox:
         ring = self.rings["phase_feedback"]
         return bool(ring) and _period(ring[0]) <= period <= _period(ring[-1]) + _ROOM
 
-    def _look(self) -> None:
+    def _look_on(self) -> None:
         """Write as soon as the time after the fault is there, or will not come."""
         event = self._event
         assert event is not None

@@ -10,7 +10,6 @@ import contextlib
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +24,6 @@ from rclpy.clock_type import ClockType
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from mfpcc_controller.controller import Controller
@@ -40,7 +38,7 @@ from mfpcc_experiments.progress import Tell
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant
-from pwm_node import spin
+from pwm_node import interrupts, ros_environment, spin
 from pwm_node.errors import ForPeople
 from pwm_node.node import PwmNode
 
@@ -321,13 +319,17 @@ def _process(
 ) -> Iterator[subprocess.Popen[bytes]]:
     """Run a node with these parameters; stop it at the end, by force where it does not."""
     program = Path(get_package_prefix(package), "lib", package, executable)
-    with tempfile.TemporaryDirectory(prefix="mfpcc_") as folder:
-        file = Path(folder, "parameters.yaml")
-        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": _nonempty(values)}}))
+    text = yaml.safe_dump({"/**": {"ros__parameters": _nonempty(values)}})
+    # A file without a place: should this process be killed, nothing of it is left.
+    with os.fdopen(os.memfd_create("parameters"), "w") as file:
+        file.write(text)
+        file.flush()
         process = subprocess.Popen(
-            [program, "--ros-args", "--params-file", str(file)],
+            [program, "--ros-args", "--params-file", f"/dev/fd/{file.fileno()}"],
+            pass_fds=[file.fileno()],
             # Ctrl-C is for this process, which stops them in order
             start_new_session=True,
+            env=interrupts.ending_with_this_process(),
         )
         try:
             yield process
@@ -378,7 +380,7 @@ def _overrides(values: Mapping[str, Any]) -> list[Parameter]:
 @contextlib.contextmanager
 def _context() -> Iterator[rclpy.Context]:
     context = rclpy.Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    ros_environment.init([], context)
     try:
         yield context
     finally:

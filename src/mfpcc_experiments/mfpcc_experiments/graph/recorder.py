@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import bisect
+import contextlib
 import struct
 import sys
 from collections import deque
@@ -38,7 +39,7 @@ from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
 from mfpcc_experiments.graph.black_box import BlackBox
 from mfpcc_experiments.measuring.happened import latched
 from pmsm_sim.parameters import TABLE as PLANT
-from pwm_node import ros_parameters, spin, stamps
+from pwm_node import guard, interrupts, ros_parameters, spin, stamps
 
 # Keep all and reliable: a recorder that cannot follow slows the loop down instead of losing.
 _KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
@@ -197,7 +198,12 @@ class Recorder(Node):
         self._events = self.create_subscription(
             ParameterEvent, "/parameter_events", _never, qos_profile_parameter_events
         )
-        self.create_subscription(DriveStatus, "drive_status", self._on_status, _EVERY_STATUS)
+        logger = self.get_logger()
+        self._take_event = guard.callback(
+            self._on_event, "/parameter_events: message dropped", logger
+        )
+        on_status = guard.callback(self._on_status, "drive_status: message dropped", logger)
+        self.create_subscription(DriveStatus, "drive_status", on_status, _EVERY_STATUS)
         self.create_timer(_TAKE_EVERY, self.take_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if black_box is not None:
             self._ask_the_drive()
@@ -223,12 +229,18 @@ class Recorder(Node):
             for subscription, keep in self._inputs:
                 take, msg_class = subscription.handle.take_message, subscription.msg_type
                 while (message := take(msg_class, True)) is not None:
-                    keep(message[0], message[1]["source_timestamp"])
+                    try:
+                        keep(message[0], message[1]["source_timestamp"])
+                    except struct.error as error:
+                        self.get_logger().error(
+                            f"{subscription.topic_name}: message dropped: {error}",
+                            throttle_duration_sec=1.0,
+                        )
         except BagError as error:
             self.error = error
             self.finished.set_result(None)
         while (event := self._events.handle.take_message(ParameterEvent, False)) is not None:
-            self._on_event(event[0], event[1]["source_timestamp"])
+            self._take_event(event[0], event[1]["source_timestamp"])
         for name, (topic, offset) in _DRIVE_NODES.items():
             node = self.drive[name]
             if node.has_news:
@@ -301,6 +313,7 @@ class Recorder(Node):
 
     def _ask_the_drive(self) -> None:
         """Learn of the nodes what a black box shall hold: parameters and counters."""
+        logger = self.get_logger()
         clients = {
             name: self.create_client(GetParameters, f"{name}/get_parameters") for name in self.drive
         }
@@ -309,12 +322,14 @@ class Recorder(Node):
             for name in [name for name, client in clients.items() if client.service_is_ready()]:
                 request = GetParameters.Request(names=list(_TABLES[name]))
                 future = clients.pop(name).call_async(request)
-                future.add_done_callback(partial(self._on_values, name, request.names))
+                take = partial(self._on_values, name, request.names)
+                future.add_done_callback(guard.callback(take, f"parameters of {name}", logger))
             if not clients:
                 self.destroy_timer(timer)
 
         timer = self.create_timer(_ASK_EVERY, ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        take = guard.callback(self._on_diagnostics, "/diagnostics: message dropped", logger)
+        self.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
 
     def _on_values(self, node: str, names: Sequence[str], future: Any) -> None:
         self.drive[node].values = {
@@ -374,30 +389,37 @@ def main() -> int:
     writer: BagWriter | None = None
     recorder: Recorder | None = None
 
-    def make() -> Recorder:
-        nonlocal writer, recorder
-        if arguments.out is not None:
-            writer = BagWriter(arguments.out, config={"engine": "ros"}, force=arguments.force)
-        recorder = Recorder(writer, black_box=arguments.black_box)
-        if arguments.out is not None:
-            recorder.get_logger().info(
-                f"recording into {arguments.out}; what was published before is not in it"
-            )
-        return recorder
+    with contextlib.ExitStack() as stack:
 
-    code = spin.main(make)
-    if recorder is None:
-        return code
-    try:
-        if writer is not None:
-            writer.close({"gaps": recorder.gaps, "parameter_changes": recorder.parameter_changes})
-    except BagError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    if recorder.error is not None:
-        print(f"error: {recorder.error}", file=sys.stderr)
-        return 1
-    return code or _report(recorder.last_period, recorder.gaps)
+        def make() -> Recorder:
+            nonlocal writer, recorder
+            if arguments.out is not None:
+                stack.enter_context(interrupts.finished())  # from now on there is a bag to finish
+                writer = stack.enter_context(
+                    BagWriter(arguments.out, config={"engine": "ros"}, force=arguments.force)
+                )
+            recorder = Recorder(writer, black_box=arguments.black_box)
+            if arguments.out is not None:
+                recorder.get_logger().info(
+                    f"recording into {arguments.out}; what was published before is not in it"
+                )
+            return recorder
+
+        code = spin.main(make)
+        if recorder is None:
+            return code
+        try:
+            if writer is not None:
+                writer.close(
+                    {"gaps": recorder.gaps, "parameter_changes": recorder.parameter_changes}
+                )
+        except BagError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
+        if recorder.error is not None:
+            print(f"error: {recorder.error}", file=sys.stderr)
+            return 1
+        return code or _report(recorder.last_period, recorder.gaps)
 
 
 def _report(last: Mapping[str, int], gaps: Mapping[str, int]) -> int:

@@ -31,6 +31,7 @@ from pmsm_sim.injection import UNITS
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant
 from pmsm_sim.protection import OVERCURRENT
+from pwm_node import ros_environment
 from pwm_node.wire import fixed_dtype, fixed_size
 
 #: Current amplitude (A) that only a drive without protection reaches: the trip limit of seed_750,
@@ -200,6 +201,7 @@ def judge_all(
     if engine == "inprocess":
         return list(_judged(chosen, _run_in_process, react, tell))
     # rclpy is needed for this engine only
+    ros_environment.check()
     from mfpcc_experiments.graph import drive
 
     with drive.composed_runs() as run:

@@ -14,6 +14,7 @@ from mfpcc_experiments.bags import recording
 from mfpcc_experiments.bags.bag import BagError
 from mfpcc_experiments.measuring import metrics
 from mfpcc_experiments.measuring.measured import Measured, labels, signals
+from pwm_node import interrupts
 
 Progress = Callable[[float], None]
 
@@ -135,12 +136,13 @@ def write_whole(path: Path, text: str) -> None:
         Content.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    with interrupts.finished():
+        try:
+            temporary.write_text(text, encoding="utf-8")
+            os.replace(temporary, path)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
 
 
 # --- Differences -------------------------------------------------------------------------------

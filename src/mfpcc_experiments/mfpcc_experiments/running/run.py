@@ -18,7 +18,7 @@ from mfpcc_experiments.progress import Tell
 from mfpcc_experiments.running.engine import Engine, Trace, step_time
 from mfpcc_experiments.running.scenario import Scenario
 from pmsm_sim import motor
-from pwm_node import stamps
+from pwm_node import ros_environment, stamps
 from pwm_node.wire import Wire
 
 
@@ -78,12 +78,15 @@ def run(
         If the recording cannot be written.
     mfpcc_experiments.graph.drive.DriveError
         If the graph does not run to the end, or messages are lost (engine `ros`).
+    pwm_node.ros_environment.RosError
+        If ROS cannot start (engine `ros`).
     """
     config = configuration(scenario, scheme, engine, seed)
     if engine == "inprocess":
         _run_inprocess(config, folder / scheme, scenario.periods, progress)
         return
-    # rclpy is needed for this engine only
+    # rclpy is needed for this engine only, and may end the process as soon as it is imported
+    ros_environment.check(processes=2 if separate else 1)
     from mfpcc_experiments.graph import drive
 
     record = drive.record_separate if separate else drive.record_composed

@@ -12,5 +12,8 @@ import click
 def command(bag: Path) -> None:
     """Repair BAG, a recording whose writer was killed before it could finish it."""
     from mfpcc_experiments.bags import recover
+    from pwm_node import interrupts
 
-    click.echo(recover.recover(bag))
+    with interrupts.undone():
+        said = recover.recover(bag)
+    click.echo(said)
