@@ -197,7 +197,34 @@ def main() -> int:
         nodes.append(MfpccController(also_known=(*PLANT, black_box.PARAMETER)))
         return nodes[-1]
 
-    return spin.main(plant, controller, lambda: BlackBoxNode(nodes))
+    def black_box_node() -> Node:
+        node = BlackBoxNode(nodes)
+        _introduce(*nodes)
+        return node
+
+    return spin.main(plant, controller, black_box_node)
+
+
+def _introduce(plant: PwmNode, controller: PwmNode) -> None:
+    """Say what runs here, and what can be typed next."""
+    factor = plant.values["real_time_factor"]
+    pace = f"at {factor:g} times real time" if factor else "in lock-step, as fast as it goes"
+    values = controller.values
+    if values["control_mode"] == "speed":
+        goal = f"{values['speed_ref_rpm']:g} r/min"
+    else:
+        goal = f"i_d {values['i_d_ref']:g} A, i_q {values['i_q_ref']:g} A"
+    name = controller.get_fully_qualified_name()
+    logger = controller.get_logger()
+    logger.info(
+        f"a simulated drive: motor {plant.values['motor']}, scheme {values['scheme']}, {goal}, "
+        f"{pace}; Ctrl-C stops it"
+    )
+    logger.info(
+        f"from another shell: 'ros2 param set {name} speed_ref_rpm 500.0', "
+        f"'ros2 topic echo --once {plant.get_namespace().rstrip('/')}/drive_state', "
+        f"'ros2 param list {name}'"
+    )
 
 
 # --- Two processes ------------------------------------------------------------------------------
