@@ -7,8 +7,8 @@
   const LEFT = 58, RIGHT = 10, TOP = 20, AXIS = 20, NAN = -32768, FACTOR = 16;
   // The waveform within the periods is drawn below this many periods in view.
   const CLOSE = 250;
-  // Width of the traces in print (CSS pixels).
-  const PAGE = 720;
+  // Width at which the traces are drawn for print (CSS pixels): all of them fit on one page.
+  const PAGE = 860;
 
   // --- Data ---
 
