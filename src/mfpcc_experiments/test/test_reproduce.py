@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,20 @@ def test_the_fitted_baseline_says_so(said: list[Statement]) -> None:
     for s in fitted:
         assert "By construction" in s.remark
         assert s.verdict == CONFIRMED
+
+
+def test_a_run_that_tripped_is_not_judged(results: reproduce.Results) -> None:
+    note = {"severity": "failure", "text": "gates off from 0.300 s: OVERSPEED, 200 rad/s"}
+    spoiled = []
+    for each in results.runs:
+        if (each.experiment, each.scheme) == ("steady_750_5", "mls_mfpcc"):
+            row = {**each.row, "notes": [note], "thd_percent": {"oversampled": None}}
+            each = replace(each, row=row)
+        spoiled.append(each)
+    said = reproduce.statements(reproduce.Results(spoiled, {}), ["6", "9"])
+    of_6 = [s for s in said if s.figure == "6"]
+    assert [(s.verdict, s.ours) for s in of_6] == [(reproduce.NOT_JUDGED, note["text"])]
+    assert {s.verdict for s in said if s.figure == "9"} <= {CONFIRMED, DIFFERS, NOT_CONFIRMED}
 
 
 def test_computing_times(results: reproduce.Results) -> None:

@@ -25,6 +25,7 @@ from mfpcc_experiments.measuring import metrics
 from mfpcc_experiments.measuring.happened import scheme_title
 from mfpcc_experiments.measuring.measured import Signal, signals
 from mfpcc_experiments.measuring.metrics import Window
+from mfpcc_experiments.notes import Severity
 
 Progress = Callable[[float], None]
 
@@ -74,6 +75,9 @@ _TIMING_ROUNDS = 15
 
 CONFIRMED, DIFFERS, NOT_CONFIRMED = "confirmed", "differs", "not confirmed"
 
+#: Of a figure whose runs did not do what they were to do.
+NOT_JUDGED = "not judged"
+
 
 @dataclass(frozen=True)
 class Run:
@@ -119,7 +123,8 @@ class Statement:
     published, ours : str
         The numbers that decide.
     verdict : str
-        `CONFIRMED`, `DIFFERS` (the same tendency with another number) or `NOT_CONFIRMED`.
+        `CONFIRMED`, `DIFFERS` (the same tendency with another number), `NOT_CONFIRMED`, or
+        `NOT_JUDGED`.
     remark : str
         How ours was measured, and what else has to be known to judge it.
     """
@@ -160,10 +165,11 @@ def measure(experiment: str, scheme: str, path: Path) -> Run:
     """
     found = recording.read(path)
     whole = signals(found)
+    row = metrics.evaluate(found)
     return Run(
         experiment=experiment,
         scheme=scheme,
-        row=metrics.evaluate(found),
+        row=row,
         window=metrics.cut(found),
         shown=metrics.cut(found, SHOWN[experiment]),
         signals={name: whole[name] for name in ("speed", "speed_ref")},
@@ -307,8 +313,25 @@ def statements(results: Results, figures: Iterable[str]) -> list[Statement]:
         Keys of `FIGURES`.
     """
     said = {"6": _figure_6, "7": _figure_7, "8": _figure_8, "9": _figure_9, "10": _figure_10}
-    found = [statement for figure in figures for statement in said[figure](results)]
+    found: list[Statement] = []
+    for figure in figures:
+        unfit = _unfit(figure, results)
+        found += unfit if unfit else said[figure](results)
     return [*found, *_computing_times(results)] if results.times else found
+
+
+def _unfit(figure: str, results: Results) -> list[Statement]:
+    """What keeps a figure from being judged: one entry per run that is not what it was to be."""
+    found = []
+    for experiment, scheme in plan([figure]):
+        row = results.run(experiment, scheme).row
+        why = [note["text"] for note in row["notes"] if note["severity"] == Severity.FAILURE]
+        if not why and experiment in STEADY and not row["steady"]:
+            why = [note["text"] for note in row["notes"]]
+        if why:
+            says = f"All that figure {figure} shows: {scheme_title(scheme)} in {experiment}."
+            found.append(Statement(figure, says, "–", why[0], NOT_JUDGED))
+    return found
 
 
 def _near(ours: float, published: float) -> str:
@@ -332,7 +355,7 @@ def _list(values: Iterable[float], unit: str, digits: int = 2) -> str:
 
 
 def _thd(run: Run) -> float:
-    return float(run.row["thd_percent"]["oversampled"] or math.nan)
+    return float(run.row["thd_percent"]["oversampled"])
 
 
 def _ripple(axis: str) -> Callable[[Run], float]:

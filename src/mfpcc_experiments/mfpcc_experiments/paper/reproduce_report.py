@@ -16,6 +16,7 @@ from mfpcc_experiments.paper.reproduce import (
     DIFFERS,
     FITTED,
     NOT_CONFIRMED,
+    NOT_JUDGED,
     TIMES,
     Results,
     Statement,
@@ -23,7 +24,7 @@ from mfpcc_experiments.paper.reproduce import (
 from mfpcc_experiments.reporting.compare import COLUMNS, text
 from mfpcc_experiments.running import scenario
 
-_RANK = (CONFIRMED, DIFFERS, NOT_CONFIRMED)
+_RANK = (CONFIRMED, DIFFERS, NOT_CONFIRMED, NOT_JUDGED)
 
 
 def render(
@@ -71,6 +72,11 @@ def render(
         counts=counts(said),
         said=groups,
         total=len(said),
+        notes=[
+            (label, note)
+            for label, run in zip(labels(results), results.runs, strict=True)
+            for note in run.row["notes"]
+        ],
         figures=[
             (caption, path.name, base64.b64encode(path.read_bytes()).decode("ascii"))
             for _, path, caption in figures
@@ -83,8 +89,14 @@ def render(
 
 
 def counts(said: Sequence[Statement]) -> list[tuple[str, int]]:
-    """How many statements have each verdict."""
-    return [(verdict, sum(s.verdict == verdict for s in said)) for verdict in _RANK]
+    """How many statements have each verdict; that some are not judged is an exception."""
+    found = [(verdict, sum(s.verdict == verdict for s in said)) for verdict in _RANK]
+    return [entry for entry in found if entry[1] or entry[0] != NOT_JUDGED]
+
+
+def labels(results: Results) -> list[str]:
+    """Names of the runs, for their notes."""
+    return [f"{scheme_title(run.row['scheme'])}, {run.experiment}" for run in results.runs]
 
 
 def _grouped(said: Sequence[Statement]) -> list[tuple[str, list[dict[str, Any]]]]:

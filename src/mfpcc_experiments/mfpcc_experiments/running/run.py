@@ -182,10 +182,8 @@ def _serialized(wire: Wire, rows: NDArray[np.void], **tails: NDArray[Any]) -> It
 
 def _named(trace: Trace) -> Iterator[bytes]:
     """The diagnostics, with the name of who controlled in each period."""
-    wires = [Wire(LutDiagnostics) for _ in range(2)]
-    for wire, name in zip(wires, (trace.scheme, trace.fallback), strict=True):
-        wire.set_string("scheme", name)
-    messages = [_serialized(wire, trace.lut) for wire in wires]
-    for fallen in trace.fallen.tolist():
-        both = [next(each) for each in messages]
-        yield both[fallen]
+    borders = np.flatnonzero(np.diff(trace.fallen)) + 1
+    for rows in np.split(np.arange(len(trace.lut)), borders):
+        wire = Wire(LutDiagnostics)
+        wire.set_string("scheme", trace.fallback if trace.fallen[rows[0]] else trace.scheme)
+        yield from _serialized(wire, trace.lut[rows])

@@ -11,7 +11,7 @@ import click
 from mfpcc_experiments.running import ENGINES
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.paper.reproduce import Statement
+    from mfpcc_experiments.paper.reproduce import Results, Statement
 
 
 @click.command(short_help="Every figure and number of the paper, ours beside the published.")
@@ -44,8 +44,10 @@ def command(figures: tuple[str, ...], engine: str, out: Path, seed: int, force: 
     """Run the paper's experiments, and hold what it says of them against what ours show.
 
     The folder then holds report.html, the figures, statements.json, metrics.json and all
-    recordings. It takes a minute; with --engine ros two or three.
+    recordings. It takes a minute; with --engine ros two or three. The exit code is 3 where a run
+    did not do what it was to do: the notes say what, and its figures are not judged.
     """
+    from mfpcc_experiments import notes
     from mfpcc_experiments.files import result_folder
     from mfpcc_experiments.paper import reproduce
     from pwm_node.names import unknown
@@ -58,14 +60,15 @@ def command(figures: tuple[str, ...], engine: str, out: Path, seed: int, force: 
         raise click.UsageError(unknown("engine", engine, ENGINES), context)
     wanted = tuple(figure for figure in reproduce.FIGURES if figure in figures or not figures)
     with result_folder(out, force=force) as folder:
-        said = _reproduce(wanted, engine, seed, folder, timed=not figures)
-    _show(said)
+        said, results = _reproduce(wanted, engine, seed, folder, timed=not figures)
+    _show(said, results)
     click.echo(f"report: {out / 'report.html'}")
+    context.exit(notes.exit_code([run.row for run in results.runs], strict=True))
 
 
 def _reproduce(
     figures: Sequence[str], engine: str, seed: int, folder: Path, *, timed: bool
-) -> list[Statement]:
+) -> tuple[list[Statement], Results]:
     """Run, measure, draw and write, with a progress bar."""
     import json
 
@@ -109,18 +112,24 @@ def _reproduce(
         write_whole(folder / "statements.json", reproduce.to_json(results, said) + "\n")
         rows = [measured.row for measured in runs]
         write_whole(folder / "metrics.json", json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
-    return said
+    return said, results
 
 
-def _show(said: Sequence[Statement]) -> None:
-    """Print the statements, and how many are confirmed."""
+def _show(said: Sequence[Statement], results: Results) -> None:
+    """Print the statements, how many are confirmed, and what went wrong."""
     from rich.console import Console
     from rich.table import Table
 
+    from mfpcc_experiments import notes
     from mfpcc_experiments.paper.reproduce import FITTED
-    from mfpcc_experiments.paper.reproduce_report import counts
+    from mfpcc_experiments.paper.reproduce_report import counts, labels
 
-    colours = {"confirmed": "green", "differs": "yellow", "not confirmed": "red"}
+    colours = {
+        "confirmed": "green",
+        "differs": "yellow",
+        "not confirmed": "red",
+        "not judged": "red",
+    }
     table = Table(box=None, pad_edge=False, header_style="bold", expand=True)
     table.add_column("", justify="right", width=5)
     table.add_column("the paper", ratio=5)
@@ -128,9 +137,12 @@ def _show(said: Sequence[Statement]) -> None:
     table.add_column("ours", ratio=3)
     table.add_column("", width=13)
     for s in said:
-        verdict = f"[{colours[s.verdict]}]{s.verdict}[/]"
+        verdict = f"[{colours.get(s.verdict, 'red')}]{s.verdict}[/]"
         table.add_row(s.figure, s.says, s.published, s.ours, verdict)
     console = Console(highlight=False)
     console.print(table)
     click.echo(", ".join(f"{verdict} {count}" for verdict, count in counts(said)))
     click.echo(FITTED)
+    for line in notes.lines([run.row for run in results.runs], labels(results)):
+        if not line.startswith(notes.Severity.INFO):
+            click.echo(line)
