@@ -12,6 +12,12 @@ IN_ENVIRONMENT := source ./setup.bash;
 # The interpreter to make the environment of; without it the best one that is found.
 export PYTHON
 
+# What somebody set for another Python is not for the commands here. A sourced ROS 2 is found by it.
+unexport PYTHONHOME PYTHONSTARTUP PYTHONOPTIMIZE
+ifndef ROS_DISTRO
+unexport PYTHONPATH
+endif
+
 .PHONY: help
 help:  ## what there is
 	@echo "make TARGET"
@@ -39,6 +45,10 @@ test:  ## all tests; with ARGS='-k wire' those that you name
 bench:  ## every speed figure, beside its reference, measured now
 	@$(SET_UP) workspace development
 	$(IN_ENVIRONMENT) python bench $(ARGS)
+
+.PHONY: fresh
+fresh:  ## from an empty folder and home: demo, demo again, all tests; the time of each step
+	@tools/fresh.sh
 
 .PHONY: docs
 docs: build  ## docs/reference.md, written from the code

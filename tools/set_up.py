@@ -199,6 +199,10 @@ def _make_workspace(steps: Steps) -> None:
         colcon = (VENV / "bin/python", "-m", "colcon", "build")
         options = ("--event-handlers", "console_direct+", "--packages-select", *changed)
         steps.run("colcon build", [*colcon, *options], environment=_environment())
+    completion = INSTALL / "mfpcc.completion.bash"
+    write = f"_MFPCC_COMPLETE=bash_source mfpcc > {completion}"
+    sourced = f"source install/setup.bash && {write}"
+    steps.run("tab completion", ["bash", "-c", sourced], environment=_environment())
     # Plant and controller at the same time: each takes a core.
     compiled = [
         ["bash", "-c", f"source install/setup.bash && exec python tools/kernels.py {part}"]
@@ -231,6 +235,7 @@ def _workspace_stamp() -> Stamp:
     return {
         "for_all": [_read(ENVIRONMENT_STAMP), _hash_of(ROOT / name for name in shared)],
         "packages": {name: _hash_of_package(folder) for name, folder in _packages()},
+        "besides": ["completion", "kernels"],
     }
 
 

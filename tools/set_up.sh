@@ -1,7 +1,8 @@
 #!/bin/sh
 # Finds a Python to make the environment of, and runs set_up.py with it and the arguments given.
 # PYTHON=... names the one to take. Otherwise: CPython 3.12 (which ROS 2 Jazzy is made for), then
-# 3.13, 3.11, 3.10, on PATH or of pyenv, and at last whatever `python3` is.
+# 3.13, 3.11, 3.10, on PATH or of pyenv, and at last whatever `python3` is. `set_up.sh --which`
+# only tells which one it is.
 here=$(cd -- "$(dirname -- "$0")" && pwd -P) || exit 1
 newline='
 '
@@ -41,11 +42,17 @@ set -f
 for candidate in $candidates; do
     command -v "$candidate" >/dev/null 2>&1 || continue
     if answer=$("$candidate" "$here/check_python.py" 2>&1); then
-        answer=$(printf '%s\n' "$answer" | tail -n 1)
-        [ ! -x "$answer" ] || exec "$answer" "$here/set_up.py" "$@"
+        answer=${answer##*"$newline"}
+        if [ -x "$answer" ]; then
+            if [ "${1-}" = --which ]; then
+                printf '%s\n' "$answer"
+                exit
+            fi
+            exec "$answer" "$here/set_up.py" "$@"
+        fi
         answer="says '$answer' instead of where it is"
     fi
-    rejected="$rejected$newline  $candidate $(printf '%s\n' "$answer" | head -n 1)"
+    rejected="$rejected$newline  $candidate ${answer%%"$newline"*}"
 done
 
 {

@@ -12,6 +12,7 @@ the drive did not do what was asked for (`notes`), 130 for Ctrl-C.
 from __future__ import annotations
 
 import importlib
+import os
 import pkgutil
 import sys
 from collections.abc import Sequence
@@ -94,6 +95,9 @@ def run(args: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
+    if "_MFPCC_COMPLETE" in os.environ:
+        from mfpcc_experiments import completion  # noqa: F401 (tells click of our bash)
+
     try:
         code: Any = cli.main(
             args=None if args is None else list(args), prog_name=PROGRAM, standalone_mode=False

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import builtins
 import dis
+import functools
 import hashlib
 import os
 import shutil
@@ -124,6 +125,12 @@ def _say_on_stderr(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+@functools.cache
+def _say_once(text: str) -> None:
+    """Say on stderr what is the same for each of many kernels."""
+    _say_on_stderr(text)
+
+
 def _folder(function: Callable[..., Any], digest: str) -> Path | None:
     """Return the cache folder of a kernel, or None where nothing can be kept."""
     if not Path(function.__code__.co_filename).is_file():
@@ -135,7 +142,7 @@ def _folder(function: Callable[..., Any], digest: str) -> Path | None:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
     except OSError as error:
-        _say_on_stderr(
+        _say_once(
             f"compiled kernels cannot be kept in {folder.parent} ({error.strerror}), so each start "
             "compiles anew; set MFPCC_CACHE to a folder that can be written"
         )

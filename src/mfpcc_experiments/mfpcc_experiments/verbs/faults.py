@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mfpcc_experiments import completion
 from mfpcc_experiments.running import ENGINES
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     default="inprocess",
     show_default=True,
     metavar="|".join(ENGINES),
+    shell_complete=completion.names(*ENGINES),
     help="The same plant and schemes without ROS, or real nodes on a real graph.",
 )
 @click.option("--brief", is_flag=True, help="Show only the cases that were not survived.")

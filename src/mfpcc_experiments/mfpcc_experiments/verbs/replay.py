@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mfpcc_experiments import completion
+
 if TYPE_CHECKING:
     from mfpcc_experiments.measuring.replay import Replay, Samples
     from pwm_node.parameters import Table
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     "schemes",
     multiple=True,
     metavar="NAME",
+    shell_complete=completion.schemes,
     help="Scheme to ask; may be given several times.  [default: all there are]",
 )
 @click.option(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from mfpcc_experiments import completion
 from mfpcc_experiments.running import ENGINES
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     default="inprocess",
     show_default=True,
     metavar="|".join(ENGINES),
+    shell_complete=completion.names(*ENGINES),
     help="Real nodes on a real graph, or the same plant and schemes without ROS.",
 )
 @click.option(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mfpcc_experiments import completion
 from mfpcc_experiments.running import ENGINES
 from mfpcc_experiments.verbs.compare import conclude
 
@@ -15,12 +16,13 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Run an experiment with one or more schemes, and compare.")
-@click.argument("experiment")
+@click.argument("experiment", shell_complete=completion.experiments)
 @click.option(
     "--scheme",
     "schemes",
     multiple=True,
     metavar="NAME",
+    shell_complete=completion.schemes,
     help="Scheme to run; may be given several times.  [default: all there are]",
 )
 @click.option(
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     default="ros",
     show_default=True,
     metavar="|".join(ENGINES),
+    shell_complete=completion.names(*ENGINES),
     help="Real nodes on a real graph, or the same plant and schemes without ROS.",
 )
 @click.option("--separate", is_flag=True, help="Plant and controller as two processes.")
@@ -44,6 +47,7 @@ if TYPE_CHECKING:
     "changes",
     multiple=True,
     metavar="NAME=VALUE",
+    shell_complete=completion.changes,
     help="Another value than the experiment's for one of its keys or for a parameter of a node, "
     "such as duration=0.5 or mls.window=10; may be given several times.",
 )
