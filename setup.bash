@@ -11,7 +11,7 @@ _mfpcc_root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")" >/dev/null && pwd -P)
 
 # The set-up writes these files last, so without them there is nothing here, or half of it.
 if [[ ! -f "$_mfpcc_root/.venv/.complete" || ! -f "$_mfpcc_root/install/.complete" ]]; then
-    echo "setup.bash: nothing is built here yet; run: make -C ${_mfpcc_root@Q} build" >&2
+    echo "setup.bash: nothing is built here yet; run: make -C $(printf %q "$_mfpcc_root") build" >&2
     unset _mfpcc_root
     return 1
 fi

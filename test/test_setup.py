@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import itertools
+import json
 import os
 import re
 import shutil
@@ -241,6 +242,105 @@ def test_failing_step_is_named_shown_and_not_trusted(empty):
     assert "no-such-package-seed" in done.stdout  # pip's own words
     assert "venv ..." in done.stdout
     assert not (empty / ".venv/.complete").exists()
+
+
+@pytest.mark.parametrize("name", ["with space", "it's", 'a"quote', "dol$lar", "a:colon", "a%b"])
+def test_a_path_that_cannot_work_is_refused_at_once(empty, name):
+    folder = empty / name
+    folder.mkdir()
+    (empty / "tools").rename(folder / "tools")
+    (empty / "requirements").rename(folder / "requirements")
+    done = run(folder / "tools/set_up.sh", "environment", PYTHON=sys.executable, cwd=folder)
+    assert done.returncode == 1
+    assert done.stderr.startswith("set-up: the path of this folder")
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stdout == ""
+    assert not (folder / ".venv").exists()
+
+
+def test_all_that_the_machine_lacks_is_told_before_anything_is_done(empty):
+    variables = {"CC": "no-such-cc", "CXX": "g++ -no-such-option", "PATH": "/usr/bin:/bin"}
+    done = run(sys.executable, empty / "tools/set_up.py", "workspace", **variables)
+    assert done.returncode == 1
+    assert "a C compiler (CC=no-such-cc: there is none of that name" in done.stderr
+    assert "a C++ compiler that works: g++ -no-such-option says: " in done.stderr
+    assert not (empty / ".venv").exists()
+    done = run(sys.executable, empty / "tools/set_up.py", "workspace", PATH="/nonexistent")
+    assert [line[:14] for line in done.stderr.splitlines()[1:]] == [
+        "  - a C compil",
+        "  - a C++ comp",
+        "  - make (on D",
+    ]
+
+
+def test_an_environment_of_somebody_else_is_left_alone(empty):
+    (empty / ".venv").mkdir()
+    (empty / ".venv/precious").touch()
+    done = run(sys.executable, empty / "tools/set_up.py", "environment")
+    assert done.returncode == 1
+    assert ".venv was not made by this set-up" in done.stderr
+    assert (empty / ".venv/precious").exists()
+
+
+@pytest.mark.parametrize("python", ["python3.12", "3.12"])
+def test_a_python_of_pyenv_is_found_where_it_is_not_active(tmp_path, python):
+    there = tmp_path / "home/.pyenv/versions/3.12.77/bin/python"
+    there.parent.mkdir(parents=True)
+    there.write_text(f"#!/bin/sh\necho {there}\n")
+    there.chmod(0o755)
+    shim = tmp_path / "python3.12"  # what stands on the path of one who has not activated it
+    shim.write_text("#!/bin/sh\necho pyenv: command not found >&2\nexit 127\n")
+    shim.chmod(0o755)
+    program = ROOT / "tools/set_up.sh"
+    path = f"{tmp_path}:/usr/bin:/bin"
+    done = run(program, "--which", PYTHON=python, PATH=path, HOME=str(tmp_path / "home"))
+    assert (done.returncode, done.stdout) == (0, f"{there}\n"), done.stderr
+
+
+def test_the_set_up_compiles_what_the_nodes_will_call(monkeypatch):
+    import rclpy
+
+    from mfpcc_controller.controller import control
+    from mfpcc_controller.node import MfpccController
+    from pmsm_sim.node import PmsmSim
+    from pmsm_sim.plant import advance, latch
+
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    kernels = __import__("kernels")
+    kernels.plant()
+    kernels.controller()
+    compiled = [set(kernel.signatures) for kernel in (latch, advance, control)]
+    assert all(compiled)
+    rclpy.init()
+    try:
+        for node in (PmsmSim(), MfpccController()):
+            node.trigger_configure()
+            assert node.core is not None
+            node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    assert [set(kernel.signatures) for kernel in (latch, advance, control)] == compiled
+
+
+# Containers -----------------------------------------------------------------------------------
+
+
+def test_a_container_is_made_by_the_same_commands():
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    text = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")
+    lines = [line.split(maxsplit=1) for line in text.splitlines() if line and line[0] != "#"]
+    assert [word for word, _ in lines] == ["FROM", "RUN", "ENV", "WORKDIR", "COPY", "RUN", "CMD"]
+    machine, build = (rest for word, rest in lines if word == "RUN")
+    assert {"g++", "make"} <= set(machine.split())  # what the README asks of a machine
+    (command,) = (json.loads(rest) for word, rest in lines if word == "CMD")
+    device = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text())
+    for used in (build.split(), command, device["postCreateCommand"].split()):
+        assert used[0] == "make" and used[1] in targets, used
+    ignored = (ROOT / ".dockerignore").read_text().split()
+    assert {".venv", "build", "install", "out"} <= set(ignored)
+
+
+# A whole set-up -------------------------------------------------------------------------------
 
 
 def test_nothing_is_done_when_all_is_there():
