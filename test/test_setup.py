@@ -23,6 +23,8 @@ OURS = (*PYTHON_PACKAGES, "mfpcc_msgs", "mfpcc_config")
 FROM_ROS = get_packages_with_prefixes().keys()
 # rosdep knows no key for these; they come from requirements/run.txt and dev.txt alone.
 WITHOUT_KEY = ("lz4", "mcap", "motulator", "rosbags", "zstandard")
+# Used where somebody has them, and asks for what needs them.
+OPTIONAL = {"pandas", "pyarrow"}
 # The package of configuration files is used by name, and imported by nobody; what launch files
 # import, they import where they are launched.
 USED_BY_NAME = {"pwm_node": {"mfpcc_config"}, "mfpcc_experiments": {"launch", "launch_ros"}}
@@ -52,7 +54,7 @@ def imports(folder: Path) -> set[str]:
                 names.update(alias.name.split(".")[0] for alias in node.names)
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 names.add(node.module.split(".")[0])
-    return names - sys.stdlib_module_names - SHARED_BY_TESTS
+    return names - sys.stdlib_module_names - SHARED_BY_TESTS - OPTIONAL
 
 
 def dependencies(names: set[str]) -> set[str]:
