@@ -32,10 +32,11 @@ def test_arrays_hold_what_was_written(make_bag):
 
 
 def test_a_change_of_scheme_is_seen_row_by_row(make_bag, drive_messages):
-    parts = [("mfpcc", 0), ("mbpcc", 40), ("mls_mfpcc", 100)]
-    source = (m for name, at in parts for m in drive_messages(50, first=at, scheme=name))
+    parts = [("mfpcc", 0, 40), ("mbpcc", 40, 60), ("mls_mfpcc", 100, 50)]
+    source = (m for name, at, n in parts for m in drive_messages(n, first=at, scheme=name))
     found = recording.read(make_bag(source=source, config={}))
-    assert found.scheme.tolist()[:41] == ["mfpcc"] * 40 + ["mbpcc"] or len(found.notes)
+    assert found.scheme.tolist() == ["mfpcc"] * 40 + ["mbpcc"] * 60 + ["mls_mfpcc"] * 50
+    assert found.notes == []
     assert happened.history(found).scheme_in(0, 150).split(" -> ")[-1] == "mls_mfpcc"
 
 
@@ -86,7 +87,7 @@ def test_a_window_outside_of_the_recording(make_bag):
 def test_gaps_are_counted_and_named(make_bag, drive_messages):
     source = (m for n, m in enumerate(drive_messages(1000)) if n not in {400, 401, 404, 2002})
     found = recording.read(make_bag(source=source))
-    assert found.lost_periods == 2
+    assert found.lost_periods == 3  # 100 and 101, and 500, of which another topic is missing
     assert any("phase_feedback: 2 messages are missing, first after period 99" in n.text
                for n in found.notes)  # fmt: skip
     assert any(n.text.startswith("drive_state: 1 messages") for n in found.notes)
@@ -118,11 +119,25 @@ def test_repeats_are_dropped(make_bag, drive_messages):
     ]
 
 
+def drives(drive_messages, *, wall_clock):
+    """Three drives, 30, 200 and 10 periods long, of which each topic tells another scheme."""
+    for n, (count, scheme) in enumerate([(30, "mbpcc"), (200, "mfpcc"), (10, "pi_foc")]):
+        for topic, time, data in drive_messages(count, scheme=scheme):
+            yield topic, time + wall_clock * n * 10**9, data
+
+
 def test_of_several_runs_the_longest_counts(make_bag, drive_messages):
-    source = (m for n in (30, 200, 10) for m in drive_messages(n))
-    found = recording.read(make_bag(source=source))
+    found = recording.read(make_bag(source=drives(drive_messages, wall_clock=True)))
     assert len(found.feedback) == 200 and len(found.lut) == 200
+    assert set(found.scheme) == {"mfpcc"}  # of all topics the same run
     assert "goes back 2 times" in found.notes[0].text
+    assert "40 periods of the others are left out" in found.notes[0].text
+
+
+def test_drives_at_the_same_times_cannot_be_told_apart(make_bag, drive_messages):
+    path = make_bag(source=drives(drive_messages, wall_clock=False))
+    with pytest.raises(bag.BagError, match="lut_diagnostics holds period 0 more than once"):
+        recording.read(path)
 
 
 def test_a_late_recorder(make_bag, drive_messages):
@@ -135,7 +150,10 @@ def test_a_late_recorder_finds_one_topic_after_the_other(make_bag, drive_message
     begins = {"phase_feedback": 1100, "lut_diagnostics": 2500, "drive_state": 1000}
     source = [m for m in drive_messages(5000) if m[1] >= 100_000 * begins.get(m[0], 1200)]
     found = recording.read(make_bag(source=source))
-    assert found.lost_periods == 0 and found.notes == []
+    assert found.lost_periods == 0
+    (note,) = found.notes
+    assert "(phase_feedback 1100 to 4999," in note.text
+    assert "4200 messages outside of the periods 2500 to 4999, which all topics" in note.text
     assert found.feedback["period"][[0, -1]].tolist() == [2500, 4999]
     row = metrics.evaluate(found, (0.25, 0.5))
     assert row["lut_error_max"] == {"d": 0.05, "q": 0.1}
@@ -200,12 +218,12 @@ def test_a_bag_with_other_messages_of_the_same_topic(tmp_path, monkeypatch, driv
         recording.read(tmp_path / "b")
 
 
-def test_a_bag_with_an_older_definition(make_bag, monkeypatch):
+def test_a_definition_that_is_not_that_of_the_messages(make_bag, monkeypatch):
     text = bag.message_definition("mfpcc_msgs/msg/PhaseFeedback").replace("float64", "float32")
     real = bag.message_definition
     monkeypatch.setattr(bag, "message_definition", lambda t: text if "Phase" in t else real(t))
     path = make_bag(periods=3)
-    with pytest.raises(bag.BagError, match="another definition of mfpcc_msgs/msg/PhaseFeedback"):
+    with pytest.raises(bag.BagError, match="has not the layout of its definition"):
         recording.read(path)
 
 

@@ -21,6 +21,7 @@ more bytes.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import queue
@@ -29,7 +30,8 @@ import struct
 import threading
 import zlib
 from array import array
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -42,6 +44,8 @@ import yaml
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
+    AttachmentIndex,
     Channel,
     ChunkIndex,
     DataEnd,
@@ -79,13 +83,33 @@ CHUNK_BYTES = 4 << 20
 WAITING_CHUNKS = 2
 
 # Opcode, length, channel, sequence, log time, publish time: what precedes the data of a message.
-MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
-_pack_message = MESSAGE_HEAD.pack
+_RECORD_HEAD = struct.Struct("<BQ")
+_pack_message = _MESSAGE_HEAD.pack
 
 
 class BagError(ForPeople):
-    """A recording that cannot be written or read; the text says which, why and what to do."""
+    """
+    A recording that cannot be written or read; the text says which, why and what to do.
+
+    It is one line that any terminal can show, whatever the name of a file or topic holds.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(printable(text))
+
+
+def printable(text: str) -> str:
+    """`text` with everything escaped that a terminal or a file in UTF-8 cannot show."""
+    return "".join(
+        c
+        if c.isprintable()
+        else c.encode("unicode_escape", "backslashreplace").decode()
+        if not 0xD800 <= ord(c) <= 0xDFFF
+        else f"\\x{ord(c) & 0xFF:02x}"
+        for c in text
+    )
 
 
 # --- Message types -----------------------------------------------------------------------------
@@ -229,9 +253,12 @@ class McapSink:
     def __post_init__(self) -> None:
         # No buffer: what was handed over survives the death of the process.
         self._file = open(self.path, "xb", buffering=0)  # noqa: SIM115 (closed by finish)
+        with suppress(OSError):  # not every file system has locks
+            fcntl.flock(self._file, fcntl.LOCK_EX)  # says that it is being written
         self._offset = 0
         self._crc = 0
         self._metadata: list[MetadataIndex] = []
+        self._attachments: list[AttachmentIndex] = []
         self._write(MAGIC + encode(Header(profile="ros2", library="mfpcc")))
 
     def _write(self, data: bytes) -> None:
@@ -253,6 +280,25 @@ class McapSink:
         index = MetadataIndex(offset=self._offset, length=len(record), name=name)
         self._write(record)
         self._metadata.append(index)
+
+    def attachment(self, content: bytes, attachment: Attachment) -> None:
+        """Append an attachment as it stood in another file, where it was read as `attachment`."""
+        record = _RECORD_HEAD.pack(Opcode.ATTACHMENT, len(content)) + content
+        index = AttachmentIndex(
+            offset=self._offset,
+            length=len(record),
+            log_time=attachment.log_time,
+            create_time=attachment.create_time,
+            data_size=len(attachment.data),
+            name=attachment.name,
+            media_type=attachment.media_type,
+        )
+        self._write(record)
+        self._attachments.append(index)
+
+    def record(self, opcode: int, content: bytes) -> None:
+        """Append a record that needs no index."""
+        self._write(_RECORD_HEAD.pack(opcode, len(content)) + content)
 
     def chunk(self, records: bytes | bytearray, index: Mapping[int, array[int]]) -> None:
         """
@@ -308,6 +354,7 @@ class McapSink:
         self._file.seek(chunk.offset)
         self._offset, self._crc = chunk.offset, chunk.crc
         self._metadata = [m for m in self._metadata if m.offset < chunk.offset]
+        self._attachments = [a for a in self._attachments if a.offset < chunk.offset]
 
     @property
     def counts(self) -> dict[int, int]:
@@ -328,6 +375,10 @@ class McapSink:
             max(c.index.message_end_time for c in self.chunks),
         )
 
+    def info(self) -> PartInfo:
+        """What ``metadata.yaml`` tells of the file."""
+        return PartInfo(self.path.name, self.channels, self.schemas, self.counts, self.times)
+
     def finish(self) -> None:
         """Append the end of the data, the summary and the footer (all or nothing)."""
         end = encode(DataEnd(data_section_crc=self._crc))
@@ -341,7 +392,7 @@ class McapSink:
                 Opcode.STATISTICS,
                 [
                     Statistics(
-                        attachment_count=0,
+                        attachment_count=len(self._attachments),
                         channel_count=len(self.channels),
                         channel_message_counts=counts,
                         chunk_count=len(self.chunks),
@@ -354,6 +405,7 @@ class McapSink:
                 ],
             ),
             (Opcode.CHUNK_INDEX, [c.index for c in self.chunks]),
+            (Opcode.ATTACHMENT_INDEX, list(self._attachments)),
             (Opcode.METADATA_INDEX, list(self._metadata)),
         ]
         summary = b""
@@ -369,6 +421,10 @@ class McapSink:
         covered = summary + table + encode(footer)[:-4]
         footer.summary_crc = zlib.crc32(covered)
         self._write(end + summary + table + encode(footer) + MAGIC)
+
+    def sync(self) -> None:
+        """Have the disk keep what was written."""
+        os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file as it is."""
@@ -393,51 +449,75 @@ def json_record(data: Any) -> dict[str, str]:
     return {"json": text, "crc32": f"{zlib.crc32(text.encode()):08x}"}
 
 
-def bag_metadata(sink: McapSink, custom: Mapping[str, str]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class PartInfo:
+    """What ``metadata.yaml`` tells of one file of a bag."""
+
+    name: str
+    channels: Mapping[int, Channel]
+    schemas: Mapping[int, Schema]
+    counts: Mapping[int, int]
+    times: tuple[int, int]
+
+    @property
+    def message_count(self) -> int:
+        """Messages of the file."""
+        return sum(self.counts.values())
+
+    @property
+    def span(self) -> dict[str, Any]:
+        """First log time and duration, as ``metadata.yaml`` has them."""
+        first, last = self.times
+        return {
+            "starting_time": {"nanoseconds_since_epoch": first},
+            "duration": {"nanoseconds": last - first},
+        }
+
+
+def bag_metadata(parts: Sequence[PartInfo], custom: Mapping[str, str]) -> dict[str, Any]:
     """
-    Content of ``metadata.yaml`` (rosbag2, version 9) for a bag of one file.
+    Content of ``metadata.yaml`` (rosbag2, version 9).
 
     Parameters
     ----------
-    sink : McapSink
-        The file with all its chunks.
+    parts : sequence of PartInfo
+        The files of the bag.
     custom : mapping of str
         Free entries (``custom_data``).
     """
-    first, last = sink.times
-    counts = sink.counts
-    total = sum(counts.values())
-    duration = {"nanoseconds": last - first}
-    start = {"nanoseconds_since_epoch": first}
+    topics: dict[tuple[str, str], dict[str, Any]] = {}
+    for part in parts:
+        for cid, channel in part.channels.items():
+            schema = part.schemas.get(channel.schema_id)
+            kind = "" if schema is None else schema.name
+            entry = topics.setdefault(
+                (channel.topic, kind),
+                {
+                    "topic_metadata": {
+                        "name": channel.topic,
+                        "type": kind,
+                        "serialization_format": channel.message_encoding,
+                        "offered_qos_profiles": _qos(channel),
+                        "type_description_hash": channel.metadata.get("topic_type_hash", ""),
+                    },
+                    "message_count": 0,
+                },
+            )
+            entry["message_count"] += part.counts.get(cid, 0)
+    times = [part.times for part in parts if part.message_count] or [(0, 0)]
+    first, last = min(begin for begin, _ in times), max(end for _, end in times)
     return {
         "version": 9,
         "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": start,
-        "message_count": total,
-        "topics_with_message_count": [
-            {
-                "topic_metadata": {
-                    "name": channel.topic,
-                    "type": sink.schemas[channel.schema_id].name,
-                    "serialization_format": channel.message_encoding,
-                    "offered_qos_profiles": _qos(channel),
-                    "type_description_hash": channel.metadata.get("topic_type_hash", ""),
-                },
-                "message_count": counts[cid],
-            }
-            for cid, channel in sink.channels.items()
-        ],
+        "duration": {"nanoseconds": last - first},
+        "starting_time": {"nanoseconds_since_epoch": first},
+        "message_count": sum(part.message_count for part in parts),
+        "topics_with_message_count": list(topics.values()),
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [sink.path.name],
+        "relative_file_paths": [part.name for part in parts],
         "files": [
-            {
-                "path": sink.path.name,
-                "starting_time": start,
-                "duration": duration,
-                "message_count": total,
-            }
+            {"path": part.name, **part.span, "message_count": part.message_count} for part in parts
         ],
         "custom_data": dict(custom),
         "ros_distro": os.environ.get("ROS_DISTRO") or "jazzy",
@@ -453,6 +533,47 @@ def _qos(channel: Channel) -> list[Any]:
     return profiles if isinstance(profiles, list) else []
 
 
+def write_metadata(folder: Path, parts: Sequence[PartInfo], custom: Mapping[str, str]) -> Path:
+    """
+    Write what will be ``metadata.yaml`` under another name, and return that.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    parts, custom
+        As of `bag_metadata`.
+    """
+    temporary = folder / ".metadata.yaml"
+    try:
+        with open(temporary, "w", encoding="utf-8") as file:
+            file.write(_yaml({"rosbag2_bagfile_information": bag_metadata(parts, custom)}))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+    return temporary
+
+
+def end_file(sink: McapSink, summary: Mapping[str, Any], custom: Mapping[str, str]) -> None:
+    """
+    Append to an MCAP file what belongs at its end.
+
+    Parameters
+    ----------
+    sink : McapSink
+        The file with all its chunks.
+    summary : mapping
+        JSON content of the summary record.
+    custom : mapping of str
+        ``custom_data`` of the metadata.
+    """
+    sink.metadata("rosbag2", {"serialized_metadata": _yaml(bag_metadata([sink.info()], custom))})
+    sink.metadata(SUMMARY_RECORD, json_record(summary))
+    sink.finish()
+
+
 def finish_bag(sink: McapSink, summary: Mapping[str, Any], custom: Mapping[str, str]) -> int:
     """
     Finish a bag: summary, footer, ``metadata.yaml``.
@@ -463,10 +584,8 @@ def finish_bag(sink: McapSink, summary: Mapping[str, Any], custom: Mapping[str, 
     ----------
     sink : McapSink
         The file with all its chunks.
-    summary : mapping
-        JSON content of the summary record.
-    custom : mapping of str
-        ``custom_data`` of ``metadata.yaml``.
+    summary, custom
+        As of `end_file`.
 
     Returns
     -------
@@ -476,20 +595,15 @@ def finish_bag(sink: McapSink, summary: Mapping[str, Any], custom: Mapping[str, 
     folder = sink.path.parent
     taken = 0
     while True:
-        information = bag_metadata(sink, custom)
-        temporary = folder / ".metadata.yaml"
+        temporary = None
         try:
             # The small file first, then the end of the large one; renamed when both are there.
-            with open(temporary, "w", encoding="utf-8") as file:
-                file.write(_yaml({"rosbag2_bagfile_information": information}))
-                file.flush()
-                os.fsync(file.fileno())
-            sink.metadata("rosbag2", {"serialized_metadata": _yaml(information)})
-            sink.metadata(SUMMARY_RECORD, json_record(summary))
-            sink.finish()
+            temporary = write_metadata(folder, [sink.info()], custom)
+            end_file(sink, summary, custom)
             break
         except OSError:
-            temporary.unlink(missing_ok=True)
+            if temporary is not None:
+                temporary.unlink(missing_ok=True)
             if not sink.chunks:
                 sink.close()
                 raise

@@ -8,6 +8,7 @@ really there before anything of that size is made, and every checksum that a fil
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import struct
@@ -19,13 +20,15 @@ from pathlib import Path
 from typing import Any
 
 import lz4.frame
+import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Metadata, Schema, Statistics
+from numpy.typing import NDArray
 
-from mfpcc_experiments.bags.bag import MAGIC, MESSAGE_HEAD, BagError
+from mfpcc_experiments.bags.bag import MAGIC, BagError
 
 #: Largest chunk that is unpacked (bytes): a hundred times what writers make.
 MAX_CHUNK = 256 << 20
@@ -35,7 +38,6 @@ _PIECE = 1 << 20  # bytes that are unpacked at a time
 _RECORD_HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _FOOTER = struct.Struct("<QQI")  # begin of the summary, of its index, checksum
-_unpack_message = MESSAGE_HEAD.unpack_from
 
 
 class UnfinishedError(BagError):
@@ -162,7 +164,7 @@ def summary(path: Path) -> Iterator[Record]:
             return
         file.seek(begin)
         data = file.read(size - tail - begin)
-    if crc != zlib.crc32(footer[: _RECORD_HEAD.size + _FOOTER.size - 4], zlib.crc32(data)):
+    if crc and crc != zlib.crc32(footer[: _RECORD_HEAD.size + _FOOTER.size - 4], zlib.crc32(data)):
         return
     position = 0
     while len(data) - position >= _RECORD_HEAD.size:
@@ -172,7 +174,29 @@ def summary(path: Path) -> Iterator[Record]:
         yield Record(opcode, data[content:position], begin + position)
 
 
+def message_count(path: Path) -> int | None:
+    """Messages that the statistics at the end of a file tell of; None where there are none."""
+    for record in summary(path):
+        if record.opcode == Opcode.STATISTICS:
+            return int(parse(Statistics, record.content, path).message_count)
+    return None
+
+
+def is_being_written(path: Path) -> bool:
+    """Whether a writer of this project has the file open, here or in another process."""
+    try:
+        with open(path, "rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False  # a file system without locks cannot tell
+    return False
+
+
 def _unfinished(path: Path) -> UnfinishedError:
+    if is_being_written(path):
+        return UnfinishedError(f"{path}: is being written at this moment; read it when it is done")
     return UnfinishedError(
         f"{path}: the recording was not finished, or was cut (was its writer killed?). "
         f"'mfpcc recover {path}' repairs it"
@@ -272,15 +296,18 @@ class Topic:
     type_name : str
         Message type.
     definition : str
-        Its definition as stored (``ros2msg``), or an empty text.
+        Its definition as stored, or an empty text.
     encoding : str
         Message encoding, e.g. ``cdr``.
+    definition_encoding : str
+        E.g. ``ros2msg``.
     """
 
     name: str
     type_name: str
     definition: str
     encoding: str
+    definition_encoding: str = "ros2msg"
 
 
 class Channels:
@@ -315,8 +342,8 @@ class Channels:
         schema = self.schemas.get(channel.schema_id)
         if schema is None:
             return Topic(channel.topic, "", "", channel.message_encoding)
-        text = schema.data.decode("utf-8", "replace") if schema.encoding == "ros2msg" else ""
-        return Topic(channel.topic, schema.name, text, channel.message_encoding)
+        text = schema.data.decode("utf-8", "replace")
+        return Topic(channel.topic, schema.name, text, channel.message_encoding, schema.encoding)
 
 
 def parse(kind: Any, content: bytes, path: Path) -> Any:
@@ -356,19 +383,57 @@ def metadata(record: Record, path: Path) -> tuple[str, Any]:
     value : Any
         The JSON value, or the record's entries.
     """
-    entry = parse(Metadata, record.content, path)
-    text = entry.metadata.get("json")
-    if text is None:
-        return entry.name, entry.metadata
+    name, entries = metadata_entries(record, path)
+    text = entries.get("json")
+    if text is None or "crc32" not in entries:
+        return name, entries
     try:
-        if f"{zlib.crc32(text.encode()):08x}" != entry.metadata.get("crc32"):
+        if f"{zlib.crc32(text.encode()):08x}" != entries["crc32"]:
             raise ValueError
-        return entry.name, json.loads(text)
+        return name, json.loads(text)
     except (ValueError, RecursionError):
         raise DamagedError(f"{path}: the stored configuration is damaged") from None
 
 
-def split(data: bytes, path: Path) -> Iterator[tuple[int, int, int, int, int]]:
+def metadata_entries(record: Record, path: Path) -> tuple[str, dict[str, str]]:
+    """Name and entries of a metadata record, as they stand."""
+    entry = parse(Metadata, record.content, path)
+    return entry.name, entry.metadata
+
+
+@dataclass(frozen=True)
+class Messages:
+    """
+    Where the messages of some bytes lie.
+
+    Attributes
+    ----------
+    channel_id : ndarray of uint16
+    log_time : ndarray of uint64
+        (ns)
+    begin, end : ndarray of int64
+        Of the serialized message, without the head of its record.
+    """
+
+    channel_id: NDArray[np.uint16]
+    log_time: NDArray[np.uint64]
+    begin: NDArray[np.int64]
+    end: NDArray[np.int64]
+
+
+_HEAD_DTYPE = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel_id", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)
+
+
+def walk(data: bytes, path: Path) -> tuple[list[tuple[int, int, int]], Messages]:
     """
     Walk through the records of a chunk.
 
@@ -379,29 +444,39 @@ def split(data: bytes, path: Path) -> Iterator[tuple[int, int, int, int, int]]:
     path : Path
         File, for messages.
 
-    Yields
+    Returns
+    -------
+    others : list of (int, int, int)
+        Opcode, begin and end of the content of each record that is no message.
+    messages : Messages
+        In the order of the chunk.
+
+    Raises
     ------
-    opcode, begin, end, channel_id, log_time : int
-        Where the content of the record lies; for a message without its head, else the last two are
-        zero.
+    DamagedError
+        If the records do not fill the chunk.
     """
+    others: list[tuple[int, int, int]] = []
+    starts: list[int] = []
     position, size = 0, len(data)
-    while position < size:
-        if size - position < 31:
-            # No message fits here; another record may.
-            if size - position < 9:
-                raise _damaged_chunk(path, "a record is cut")
-            opcode, length = _RECORD_HEAD.unpack_from(data, position)
-            channel_id = log_time = 0
-        else:
-            opcode, length, channel_id, _, log_time, _ = _unpack_message(data, position)
-        begin = position + 9
-        position = begin + length
-        if position > size:
-            raise _damaged_chunk(path, "a record is cut")
+    unpack, last = _RECORD_HEAD.unpack_from, size - _RECORD_HEAD.size
+    while position <= last:
+        opcode, length = unpack(data, position)
         if opcode == 5:
             if length < 22:
                 raise _damaged_chunk(path, "a message is cut")
-            yield 5, begin + 22, position, channel_id, log_time
+            starts.append(position)
         else:
-            yield opcode, begin, position, 0, 0
+            others.append((opcode, position + 9, position + 9 + length))
+        position += 9 + length
+    if position != size:
+        raise _damaged_chunk(path, "a record is cut")
+    begin = np.array(starts, np.int64)
+    raw = np.frombuffer(data, np.uint8)
+    heads = raw[begin[:, None] + np.arange(_HEAD_DTYPE.itemsize)].reshape(-1).view(_HEAD_DTYPE)
+    return others, Messages(
+        channel_id=heads["channel_id"].copy(),
+        log_time=heads["log_time"].copy(),
+        begin=begin + _HEAD_DTYPE.itemsize,
+        end=begin + 9 + heads["length"].astype(np.int64),
+    )

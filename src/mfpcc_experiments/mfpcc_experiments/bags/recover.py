@@ -1,22 +1,28 @@
 """
 Repairing a recording whose writer was killed, or whose file was damaged.
 
-All whole chunks are copied into a new file, which is finished as a writer would have done it and
-then takes the place of the old one. A chunk whose checksum does not match is dropped, never
-guessed. Where something had to be dropped from within the file, the old one stays beside the new
-one as ``*.damaged``.
+All whole chunks are copied into a new file, with the metadata and attachments, and that is finished
+as a writer would have done it. A chunk whose checksum does not match is dropped, never guessed. The
+copy is read back before it takes the place of the old file, and wherever that holds anything that
+the copy does not, be it bytes that nobody can read, it stays beside it as ``*.damaged``.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-import struct
+import tempfile
+import zlib
 from array import array
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Attachment
 
 from mfpcc_experiments.bags import mcap_file
 from mfpcc_experiments.bags.bag import (
@@ -26,12 +32,13 @@ from mfpcc_experiments.bags.bag import (
     BagError,
     McapSink,
     encode,
-    finish_bag,
-    json_record,
+    end_file,
+    write_metadata,
 )
-from mfpcc_experiments.bags.recording import bag_files
+from mfpcc_experiments.bags.bag_parts import METADATA, Parts, candidates, parts_of
 
 _OWN_RECORDS = ("rosbag2", SUMMARY_RECORD)  # written anew
+_KEYS = ("experiment", "scheme", "motor", "engine", "seed")
 
 
 def recover(path: Path) -> str:
@@ -41,7 +48,7 @@ def recover(path: Path) -> str:
     Parameters
     ----------
     path : Path
-        Folder of a bag, or its MCAP file.
+        Folder of a bag, or one of its MCAP files.
 
     Returns
     -------
@@ -51,40 +58,97 @@ def recover(path: Path) -> str:
     Raises
     ------
     BagError
-        If there is nothing to save, or the file cannot be read or written.
+        If there is nothing to save, or a file cannot be read or written. All is as it was then.
     """
     path = Path(path)
-    files = bag_files(path)
-    if len(files) > 1:
-        raise BagError(f"{path}: holds {len(files)} files; give one of them, e.g. {files[0]}")
-    file = files[0]
-    if file.suffix != ".mcap":
-        raise BagError(f"{file}: only MCAP recordings can be repaired")
-    alone = len(list(file.parent.glob("*.mcap"))) == 1
-    workshop = file.parent / ".recover"
+    parts = _parts(path)
+    folder = parts.files[0].parent
+    # The metadata.yaml of a bag tells of all its parts: it is written when all were looked at.
+    whole = path.is_dir() or len(list(folder.glob("*.mcap"))) == 1
     try:
-        shutil.rmtree(workshop, ignore_errors=True)  # of an attempt that was killed
-        workshop.mkdir()
-        try:
-            copy = _Copy(file, workshop / file.name)
-            copy.run()
-            if copy.problem is None and (not alone or (file.parent / "metadata.yaml").exists()):
+        with _workshop(folder) as workshop:
+            copies = [_Copy(file, workshop / file.name) for file in parts.files]
+            for copy in copies:
+                copy.run()
+            lacking = whole and not (folder / METADATA).exists()
+            broken = [copy for copy in copies if copy.problem is not None]
+            if not broken and not lacking:
                 return f"{path}: whole, nothing to repair"
-            if not copy.sink.chunks:
+            if not any(copy.sink.chunks for copy in copies):
                 raise BagError(
                     f"{path}: nothing to save: the file holds no whole chunk of messages"
                 )
-            copy.finish()
-            if copy.damaged:
-                os.replace(file, file.with_name(file.name + ".damaged"))
-            os.replace(workshop / file.name, file)
-            if alone:
-                os.replace(workshop / "metadata.yaml", file.parent / "metadata.yaml")
-        finally:
-            shutil.rmtree(workshop, ignore_errors=True)
+            for copy in broken:
+                copy.finish()
+                copy.check()
+            metadata = None
+            if whole:
+                custom = {key: value for copy in copies for key, value in copy.custom.items()}
+                information = [copy.sink.info() for copy in copies]
+                metadata = write_metadata(workshop, information, {**custom, **parts.custom_data})
+            for copy in broken:
+                _replace(copy)
+            if metadata is not None:
+                os.replace(metadata, folder / METADATA)
+            _sync(folder)
     except OSError as error:
         raise BagError(f"{error.filename or path}: {error.strerror}") from None
-    return copy.report(path)
+    if not broken:
+        return f"{path}: the recording is whole; its {METADATA} was missing and was written"
+    return _report(path, broken)
+
+
+def _parts(path: Path) -> Parts:
+    """Files to repair; what ``metadata.yaml`` says that is not there is not needed for that."""
+    try:
+        parts = parts_of(path)
+    except BagError:
+        files = candidates(path) if path.is_dir() else []
+        if not files:
+            raise
+        parts = Parts(files)
+    for file in parts.files:
+        if file.suffix != ".mcap":
+            raise BagError(f"{file}: only MCAP recordings can be repaired")
+        if mcap_file.is_being_written(file):
+            raise BagError(f"{file}: is being written at this moment; there is nothing to repair")
+    return parts
+
+
+@contextmanager
+def _workshop(folder: Path) -> Iterator[Path]:
+    """A folder of this process alone, on the same disk."""
+    workshop = Path(tempfile.mkdtemp(prefix=".recover-", dir=folder))
+    try:
+        yield workshop
+    finally:
+        shutil.rmtree(workshop, ignore_errors=True)
+
+
+def _replace(copy: _Copy) -> None:
+    """Put a copy in the place of its file, of which nothing is given up."""
+    size, time = copy.state
+    status = copy.source.stat()
+    if (status.st_size, status.st_mtime_ns) != (size, time):
+        raise BagError(f"{copy.source}: has changed meanwhile: is it being written?")
+    if copy.leaves_out:
+        kept = copy.source.with_name(copy.source.name + ".damaged")
+        number = 1
+        while kept.exists():
+            number += 1
+            kept = copy.source.with_name(f"{copy.source.name}.{number}.damaged")
+        os.link(copy.source, kept)  # before anything is replaced
+        copy.kept = kept
+    os.replace(copy.sink.path, copy.source)
+
+
+def _sync(folder: Path) -> None:
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 class _Copy:
@@ -93,10 +157,15 @@ class _Copy:
     def __init__(self, source: Path, target: Path) -> None:
         self.source = source
         self.sink = McapSink(target)
+        status = source.stat()
+        self.state = status.st_size, status.st_mtime_ns
         self.problem: BagError | None = None
         self.damaged = 0
+        self.kept: Path | None = None
+        self.custom: dict[str, str] = {}
+        self._end = 0
+        self._checksums: dict[str, int] = {}
         self._summary: dict[str, object] = {}
-        self._custom: dict[str, str] = {}
         self._channels = mcap_file.Channels(source)
         # The chunk that says what the channels are may be the damaged one; the summary says it too.
         with suppress(mcap_file.DamagedError):
@@ -115,35 +184,48 @@ class _Copy:
                 except mcap_file.DamagedError as error:
                     self.problem = error
                     self.damaged += 1
+                self._end = record.end
         except (mcap_file.UnfinishedError, mcap_file.DamagedError) as error:
             self.problem = self.problem or error
             if isinstance(error, mcap_file.DamagedError) and not self.damaged:
                 self.damaged = 1
         self._flush()
+        for channel_id in sorted(set(self._channels.channels) - self._sent):
+            self._describe_silent(channel_id)
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether the source holds anything that the copy does not."""
+        return bool(self.damaged) or self._end < self.state[0]
 
     def _record(self, record: mcap_file.Record) -> None:
-        if record.opcode == 6:
+        if record.opcode == Opcode.CHUNK:
             self._flush()
             self._chunk(mcap_file.unpack_chunk(record.content, self.source))
-        elif record.opcode == 5:
-            self._loose += struct.pack("<BQ", 5, len(record.content)) + record.content
+        elif record.opcode == Opcode.MESSAGE:
+            size = len(record.content).to_bytes(8, "little")
+            self._loose += bytes([Opcode.MESSAGE]) + size + record.content
             if len(self._loose) > CHUNK_BYTES // 4:
                 self._flush()
-        elif record.opcode == 12:
-            name, value = mcap_file.metadata(record, self.source)
-            if name == SUMMARY_RECORD and isinstance(value, dict):
-                self._summary = value
-            if name == CONFIG_RECORD and isinstance(value, dict):
-                self._custom = {
-                    key: str(value[key])
-                    for key in ("experiment", "scheme", "motor", "engine", "seed")
-                    if value.get(key) is not None
-                }
-                self.sink.metadata(name, json_record(value))
-            elif name not in _OWN_RECORDS and isinstance(value, dict):
-                self.sink.metadata(name, {k: str(v) for k, v in value.items()})
-        else:
+        elif record.opcode == Opcode.METADATA:
+            self._metadata(record)
+        elif record.opcode == Opcode.ATTACHMENT:
+            attachment = mcap_file.parse(Attachment, record.content, self.source)
+            self.sink.attachment(record.content, attachment)
+        elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._channels.see(record.opcode, record.content)
+        elif record.opcode not in (Opcode.HEADER, Opcode.MESSAGE_INDEX):
+            self.sink.record(record.opcode, record.content)  # unknown here, known to another
+
+    def _metadata(self, record: mcap_file.Record) -> None:
+        name, entries = mcap_file.metadata_entries(record, self.source)
+        _, value = mcap_file.metadata(record, self.source)
+        if name == SUMMARY_RECORD and isinstance(value, dict):
+            self._summary = value
+        if name == CONFIG_RECORD and isinstance(value, dict):
+            self.custom = {key: str(value[key]) for key in _KEYS if value.get(key) is not None}
+        if name not in _OWN_RECORDS:
+            self.sink.metadata(name, entries)
 
     def _flush(self) -> None:
         if self._loose:
@@ -152,32 +234,53 @@ class _Copy:
 
     def _chunk(self, data: bytes) -> None:
         """Copy one chunk; its index is made anew."""
-        messages: list[tuple[int, int, int]] = []
+        others, messages = mcap_file.walk(data, self.source)
         there = set(self._sent)
-        for opcode, begin, end, channel_id, log_time in mcap_file.split(data, self.source):
-            if opcode == 5:
-                self._channels.topic(channel_id)  # known, or the chunk is of no use
-                messages.append((channel_id, log_time, begin - 31))
-            else:
-                self._channels.see(opcode, data[begin:end])
-                if opcode == Opcode.CHANNEL:
-                    there.add(int.from_bytes(data[begin : begin + 2], "little"))
+        for opcode, begin, end in others:
+            self._channels.see(opcode, data[begin:end])
+            if opcode == Opcode.CHANNEL:
+                there.add(int.from_bytes(data[begin : begin + 2], "little"))
+        used = np.unique(messages.channel_id).tolist()
+        for channel_id in used:
+            self._channels.topic(channel_id)  # known, or the chunk is of no use
+        if not used:
+            return  # what it says of its channels is said again where one is used
         # What a dropped chunk said of its channels is said again.
-        head = b"".join(
-            self._description(channel_id)
-            for channel_id in sorted({channel_id for channel_id, _, _ in messages} - there)
-        )
+        head = b"".join(self._description(cid) for cid in sorted(set(used) - there))
         index: dict[int, array[int]] = {}
-        for channel_id, log_time, offset in messages:
-            index.setdefault(channel_id, array("Q")).extend((log_time, offset + len(head)))
-        # Every channel of the summary must be known to the sink before it counts messages of it.
-        for channel_id in index:
-            channel = self._channels.channels[channel_id]
-            self.sink.channels[channel_id] = channel
-            if channel.schema_id in self._channels.schemas:
-                self.sink.schemas[channel.schema_id] = self._channels.schemas[channel.schema_id]
+        offset = messages.begin - 31 + len(head)
+        for channel_id in used:
+            rows = messages.channel_id == channel_id
+            pairs = np.stack([messages.log_time[rows], offset[rows].astype(np.uint64)], axis=1)
+            index[channel_id] = array("Q", pairs.tobytes())
+            self._know(channel_id)
+        for cid, begin, end in zip(
+            messages.channel_id.tolist(),
+            messages.begin.tolist(),
+            messages.end.tolist(),
+            strict=True,
+        ):
+            topic = self._channels.channels[cid].topic
+            self._checksums[topic] = zlib.crc32(data[begin:end], self._checksums.get(topic, 0))
         self.sink.chunk(head + data, index)
-        self._sent = there | set(index)
+        self._sent = there | set(used)
+
+    def _know(self, channel_id: int) -> None:
+        """Put a channel into the summary."""
+        channel = self._channels.channels[channel_id]
+        self.sink.channels[channel_id] = channel
+        if channel.schema_id in self._channels.schemas:
+            self.sink.schemas[channel.schema_id] = self._channels.schemas[channel.schema_id]
+
+    def _describe_silent(self, channel_id: int) -> None:
+        """Say of a channel without messages that it is there."""
+        channel = self._channels.channels[channel_id]
+        schema = self._channels.schemas.get(channel.schema_id)
+        for record in (schema, channel):
+            if record is not None:
+                opcode, content = encode(record)[0], encode(record)[9:]
+                self.sink.record(opcode, content)
+        self._know(channel_id)
 
     def _description(self, channel_id: int) -> bytes:
         """Schema and channel records of a channel."""
@@ -190,16 +293,65 @@ class _Copy:
         if self.problem is not None:
             reason = "the file was damaged" if self.damaged else "the writer was killed"
             self._summary["incomplete"] = f"recovered: {reason}"
-        finish_bag(self.sink, self._summary, self._custom)
+        end_file(self.sink, self._summary, self.custom)
+        self.sink.sync()
+        self.sink.close()
 
-    def report(self, path: Path) -> str:
-        """What was saved, in a sentence."""
-        count = sum(self.sink.counts.values())
-        first, last = self.sink.times
-        text = f"{path}: saved {count} messages from {first * 1e-9:.4f} to {last * 1e-9:.4f} s"
-        if self.damaged:
-            text += (
-                f"; {self.damaged} damaged part{'s' * (self.damaged > 1)} dropped, the old file is "
-                f"kept as {self.source.name}.damaged"
-            )
-        return text
+    def check(self) -> None:
+        """
+        Read the copy back, with this reader and with that of the MCAP project.
+
+        Raises
+        ------
+        BagError
+            If it does not hold every message that was copied.
+        """
+        path = self.sink.path
+        expected = {self.sink.channels[cid].topic: 0 for cid in self.sink.channels}
+        for cid, count in self.sink.counts.items():
+            expected[self.sink.channels[cid].topic] += count
+        counts = dict.fromkeys(expected, 0)
+        checksums: dict[str, int] = {}
+        channels = mcap_file.Channels(path)
+        try:
+            for record in mcap_file.records(path):
+                if record.opcode != Opcode.CHUNK:
+                    channels.see(record.opcode, record.content)
+                    continue
+                data = mcap_file.unpack_chunk(record.content, path)
+                others, messages = mcap_file.walk(data, path)
+                for opcode, begin, end in others:
+                    channels.see(opcode, data[begin:end])
+                for cid, begin, end in zip(
+                    messages.channel_id.tolist(),
+                    messages.begin.tolist(),
+                    messages.end.tolist(),
+                    strict=True,
+                ):
+                    topic = channels.topic(cid).name
+                    counts[topic] += 1
+                    checksums[topic] = zlib.crc32(data[begin:end], checksums.get(topic, 0))
+            with open(path, "rb") as file:
+                summary = make_reader(file).get_summary()
+            statistics = summary.statistics if summary is not None else None
+        except (BagError, McapError, KeyError) as error:
+            raise BagError(f"{self.source}: the repaired copy cannot be read: {error}") from None
+        told = statistics.message_count if statistics is not None else -1
+        if (counts, checksums, told) != (expected, self._checksums, sum(expected.values())):
+            raise BagError(f"{self.source}: the repaired copy does not hold what was copied")
+
+
+def _report(path: Path, copies: list[_Copy]) -> str:
+    """What was saved, in a sentence."""
+    count = sum(sum(copy.sink.counts.values()) for copy in copies)
+    times = [copy.sink.times for copy in copies if copy.sink.chunks]
+    first, last = min(begin for begin, _ in times), max(end for _, end in times)
+    text = f"{path}: saved {count} messages from {first * 1e-9:.4f} to {last * 1e-9:.4f} s"
+    damaged = sum(copy.damaged for copy in copies)
+    if damaged:
+        text += f"; {damaged} damaged part{'s' * (damaged > 1)} dropped"
+    kept = [copy.kept.name for copy in copies if copy.kept is not None]
+    if kept:
+        files = "the old file is" if len(kept) == 1 else "the old files are"
+        text += f"; {files} kept as {', '.join(kept)}"
+    return text

@@ -27,17 +27,27 @@ import click
     help="Time to evaluate (s), in all recordings.  [default: each recording's own]",
 )
 @click.option("--force", is_flag=True, help="Replace results that are there already.")
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Exit with 3 also where a recording is not complete, or the figures leave something out.",
+)
 def command(
-    bags: tuple[Path, ...], out: Path, window_s: tuple[float, float] | None, force: bool
+    bags: tuple[Path, ...],
+    out: Path,
+    window_s: tuple[float, float] | None,
+    force: bool,
+    strict: bool,
 ) -> None:
     """Compare recordings: a table, and metrics.json, report.html and figures in a folder.
 
-    BAG is a recording (its folder or its .mcap file), or a folder with recordings in it, as
-    `mfpcc run` leaves it.
+    BAG is a recording (its folder or one of its files: MCAP or sqlite3, packed or not), or a folder
+    with recordings in it, as `mfpcc run` leaves it.
 
     The exit code is 3 where a recording is of a drive that did not do what was asked for (a trip,
     a fallback, gates off or messages missing in the window): the notes below the table say what.
     """
+    from mfpcc_experiments.bags.bag_parts import bags_in
     from mfpcc_experiments.files import result_folder
     from mfpcc_experiments.progress import progress_bar
     from mfpcc_experiments.reporting import compare
@@ -47,13 +57,13 @@ def command(
             f"--window {window_s[0]:g} {window_s[1]:g}: 0 <= BEGIN < END is expected (s)",
             click.get_current_context(),
         )
-    recordings = [recording for bag in bags for recording in _recordings(bag)]
+    recordings = [recording for bag in bags for recording in bags_in(bag)]
     with result_folder(out, force=force) as folder:
         with progress_bar() as begin:
             rows = compare.compare(
                 recordings, folder, window_s=window_s, progress=begin("compare", 1.0)
             )
-    conclude(rows, out)
+    conclude(rows, out, strict=strict)
 
 
 def conclude(rows: list[dict[str, Any]], out: Path, *, strict: bool = False) -> None:
@@ -64,10 +74,3 @@ def conclude(rows: list[dict[str, Any]], out: Path, *, strict: bool = False) -> 
     compare.print_table(rows)
     click.echo(f"report: {out / 'report.html'}")
     click.get_current_context().exit(notes.exit_code(rows, strict=strict))
-
-
-def _recordings(path: Path) -> list[Path]:
-    """The recordings in a folder of results, or else what was given: reading it says what it is."""
-    if not path.is_dir() or any(path.glob("*.mcap")):
-        return [path]
-    return sorted({file.parent for file in path.glob("*/*.mcap")}) or [path]
