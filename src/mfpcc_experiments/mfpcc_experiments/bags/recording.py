@@ -27,8 +27,8 @@ from mfpcc_experiments.bags.columns import column, layout_of
 from mfpcc_experiments.bags.completeness import select
 from mfpcc_experiments.bags.layouts import Layout
 from mfpcc_experiments.bags.mcap_file import Topic
-from mfpcc_experiments.notes import Note, info, warning
 from mfpcc_experiments.bags.storage import Batch, Counts, Entry, contents
+from mfpcc_experiments.notes import Note, info, warning
 from pwm_node import stamps
 
 Progress = Callable[[float], None]
