@@ -4,6 +4,7 @@ import random
 import shutil
 import struct
 
+import bag_kinds
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
@@ -134,8 +135,37 @@ def test_of_several_runs_the_longest_counts(make_bag, drive_messages):
     assert "40 periods of the others are left out" in found.notes[0].text
 
 
-def test_drives_at_the_same_times_cannot_be_told_apart(make_bag, drive_messages):
+def test_a_drive_that_is_restarted_while_it_is_recorded(make_bag, drive_messages):
+    """Its simulated time begins anew, the log times go on."""
     path = make_bag(source=drives(drive_messages, wall_clock=False))
+    found = recording.read(path)
+    assert len(found.feedback) == 200 and set(found.scheme) == {"mfpcc"}
+    assert "goes back 2 times" in found.notes[0].text
+    with Reader(path) as reader:
+        times = {}
+        for connection, time, data in reader.messages():
+            assert time > times.get(connection.topic, -1)
+            times[connection.topic] = time
+            sec, nanosec = struct.unpack_from("<iI", data, 4)
+            assert sec == 0 and nanosec <= 20_000_000  # the stamps are those of the drive
+
+
+def test_a_restart_that_the_topics_tell_one_after_the_other(make_bag, drive_messages):
+    runs = [list(drive_messages(n, scheme=scheme)) for n, scheme in ((300, "mfpcc"), (90, "mbpcc"))]
+    late = [m for m in runs[0] if m[0] != "phase_feedback" and m[1] > 25_000_000]
+    first = [m for m in runs[0] if m not in late]
+    begin = [m for m in runs[1] if m[0] == "phase_feedback"]
+    rest = [m for m in runs[1] if m[0] != "phase_feedback"]
+    found = recording.read(make_bag(source=[*first, *begin, *late, *rest]))
+    assert len(found.feedback) == len(found.lut) == 300 and set(found.scheme) == {"mfpcc"}
+    assert found.lost_periods == 0
+    (note,) = found.notes
+    assert "goes back once" in note.text and "90 periods of the others" in note.text
+
+
+def test_drives_at_the_same_times_cannot_be_told_apart(tmp_path, drive_messages):
+    messages = list(drives(drive_messages, wall_clock=False))
+    path = bag_kinds.write(tmp_path / "bag", [messages], bag_kinds.Kind())
     with pytest.raises(bag.BagError, match="lut_diagnostics holds period 0 more than once"):
         recording.read(path)
 

@@ -79,6 +79,8 @@ SUMMARY_RECORD = "mfpcc_summary"
 CHUNK_NS = 50_000_000
 #: A chunk is closed at this size (bytes), whatever its time.
 CHUNK_BYTES = 4 << 20
+# Log time between two runs of a drive (ns).
+_BETWEEN_RUNS = 1_000_000_000
 #: Chunks that may wait for the writing thread.
 WAITING_CHUNKS = 2
 
@@ -652,13 +654,26 @@ def _part_of_a_bag(path: Path) -> bool:
 
 
 class _Topic:
-    """One topic of an open bag: its channel id, and the index of its messages in the open chunk."""
+    """
+    One topic of an open bag.
 
-    __slots__ = ("channel_id", "index")
+    Attributes
+    ----------
+    channel_id : int
+    index : array
+        Log times and offsets of its messages in the open chunk.
+    last : int
+        Its latest time (ns).
+    run, shift : int
+        How often its time began anew, and what is added to it since (ns).
+    """
+
+    __slots__ = ("channel_id", "index", "last", "run", "shift")
 
     def __init__(self, channel_id: int) -> None:
         self.channel_id = channel_id
         self.index = array("Q")
+        self.last = self.run = self.shift = 0
 
 
 class BagWriter:
@@ -686,7 +701,9 @@ class BagWriter:
     Notes
     -----
     One thread writes at a time. Log times of all topics must come from the same clock (the
-    simulated time): a chunk covers a span of it.
+    simulated time): a chunk covers a span of it. Where that clock begins anew, as with a drive that
+    is restarted while it is recorded, the log times go on, one second later: they tell the order in
+    which messages came, and the messages' own stamps the time of their drive.
     """
 
     def __init__(
@@ -715,6 +732,7 @@ class BagWriter:
         self._schema_ids: dict[str, int] = {}
         self._buffer = bytearray()
         self._begin = self._end = 0
+        self._shifts = [0]  # of the runs of a drive
         self._closed = False
         self._error: OSError | None = None
         self._told = False
@@ -766,6 +784,10 @@ class BagWriter:
             entry = self._topics[topic]
         except KeyError:
             entry = self._open_topic(topic)
+        if log_time_ns < entry.last:
+            self._begin_anew(entry, log_time_ns)
+        entry.last = log_time_ns
+        log_time_ns += entry.shift
         offset = len(self._buffer)
         if not self._begin <= log_time_ns < self._end or offset > CHUNK_BYTES:
             self._next_chunk(log_time_ns)
@@ -853,6 +875,16 @@ class BagWriter:
         self._buffer += encode(channel)
         entry = self._topics[topic] = _Topic(channel.id)
         return entry
+
+    def _begin_anew(self, entry: _Topic, log_time_ns: int) -> None:
+        """Let the log times of a topic go on although its time began anew."""
+        logged = entry.last + entry.shift
+        entry.run += 1
+        if entry.run == len(self._shifts) or log_time_ns + self._shifts[entry.run] <= logged:
+            # The first topic that begins anew. What comes of the others until they do is before.
+            entry.run = len(self._shifts)
+            self._shifts.append(self._end + _BETWEEN_RUNS - log_time_ns)
+        entry.shift = self._shifts[entry.run]
 
     def _next_chunk(self, log_time_ns: int) -> None:
         """Begin a chunk that covers `log_time_ns`."""
