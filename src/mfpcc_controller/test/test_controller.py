@@ -12,6 +12,7 @@ from mfpcc_controller import plug_in
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import SCHEMES, TABLE
 from mfpcc_controller.plug_in import Output, Sample, Scheme
+from mfpcc_controller.schemes import MEMORY_FIELDS
 from pwm_node.wire import fixed_dtype
 
 # What the node does, not the controller
@@ -83,20 +84,22 @@ def test_every_scheme_gives_sound_commands_from_the_first_sample_on(scheme):
     assert not bench.controller.fallen
 
 
+def _spoil(memory: np.ndarray) -> None:
+    """Whatever is a real or complex number becomes none."""
+    for name in memory.dtype.names:
+        if memory.dtype[name].names:
+            _spoil(memory[name])
+        elif memory.dtype[name].base.kind in "fc":
+            memory[name] = math.nan
+
+
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_scheme_that_gives_no_number_is_replaced_in_the_same_period(scheme):
     fallback = "mbpcc" if scheme == "pi_foc" else "pi_foc"
     bench = Bench(scheme=scheme, fallback_scheme=fallback).show(20)
     # whatever the scheme remembers is spoilt; one that remembers nothing cannot fail this way
-    mem = bench.controller.mem
-    for name in ("g_0", "m_d", "sum_a", "norm_b", "u_mean", "e_mean", "var_d"):
-        mem["mls_mfpcc"][name] = math.nan
-    mem["mls_mfpcc"]["drop"]["volts"] = math.nan
-    for table in (mem["mfpcc"], mem["mfpcc_two_vector"]):
-        table["g"] = table["gain_d"] = table["di_prev"] = math.nan
-    for observer in ("neso_mfpcc", "ultra_local_eso", "ultra_local_smo"):
-        mem[observer]["z_2"] = math.nan
-    mem["pi_foc"]["integral"] = math.nan
+    for name, _ in MEMORY_FIELDS:
+        _spoil(bench.controller.mem[name])
     bench.show()
     assert np.all(np.isfinite(bench.cmd["duty"])) and bench.cmd["enable"][0]
     if bench.controller.fallen:

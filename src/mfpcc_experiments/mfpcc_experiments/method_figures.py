@@ -221,6 +221,8 @@ def sector_search() -> Rows:
     """Both sector searches, on a machine without saliency and on a salient one."""
     rows = [["THD (%)", "`ranking`", "`dwell`"]]
     for motor in ("seed_750", "ipmsm"):
+        ranking = run("mls_mfpcc_paper", 0.4, motor=motor, oversampling=20, plant=ENCODER).thd(0.2)
+        rows.append([f"`mls_mfpcc_paper`, `{motor}`", f"{100.0 * ranking:.2f}", ""])
         for scheme in ("mbpcc", "mls_mfpcc"):
             thd = [
                 run(

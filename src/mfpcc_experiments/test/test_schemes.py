@@ -36,6 +36,8 @@ def steady_thd(scheme: str, seeds: int = 1, **options) -> float:
         ("mbpcc", 5.0, 0.81, 1),
         ("mls_mfpcc", 2.0, 1.88, 1),
         ("mls_mfpcc", 5.0, 0.83, 1),
+        ("mls_mfpcc_paper", 2.0, 1.88, 1),
+        ("mls_mfpcc_paper", 5.0, 0.83, 1),
         # single vectors make a limit cycle that depends on chance
         ("mfpcc", 2.0, 17.2, 4),
         ("mfpcc", 5.0, 7.0, 2),
@@ -138,6 +140,48 @@ def test_ranking_picks_wrong_sectors_on_a_salient_machine():
     ranking = {"sector_search": "ranking"}
     assert steady_thd("mbpcc", motor="ipmsm", controller=ranking) > 0.2
     assert steady_thd("mls_mfpcc", controller=ranking) < 0.02
+    # the paper ranks the entries of its own table, which stay equally long there
+    assert steady_thd("mls_mfpcc_paper", motor="ipmsm") == pytest.approx(0.044, rel=0.05)
+
+
+def test_the_paper_update_is_the_one_of_its_text():
+    """Sections 3 to 6 of the method, written down once more: windows as lists, sums as sums."""
+    r = run("mls_mfpcc_paper", 0.08, plant=ENCODER, schedule=["0.03 load_torque 5.0"])
+    T_s, i_max = r.T_s, r.controller.motor.i_max
+    g = r.lut["gradient_re"] + 1j * r.lut["gradient_im"]
+    e = r.lut["prediction_error"] @ [1.0, 1j]
+    middle = r.controller.motor.n_p * r.feedback["encoder_angle"] + 0.5 * T_s * r.lut["w_m"]
+    window: list[tuple[tuple[int, int], np.ndarray, np.ndarray]] = []
+    seen = set()
+    for k in range(2, len(e)):
+        # what was applied in period k - 1 was commanded at sample k - 2
+        pair = tuple(map(int, r.command["vectors"][k - 2]))
+        d = np.array([1.0, *r.command["dwell"][k - 2]])
+        own = np.array([e[k], *2 * [e[k] * np.exp(1j * middle[k - 1])]]) * d**2 / np.sum(d**2)
+        window = [(pair, d, own), *window][:5]
+        same = next((n for n, row in enumerate(window) if row[0] != pair), len(window))
+        eta = 0.05 + 0.45 * (1.0 - np.exp(-abs(e[k]) / (0.025 * i_max)))
+        delta = np.zeros(3, complex)
+        for j in range(3):
+            rows = window if j == 0 else window[:same]
+            beta = 0.8 ** np.arange(len(rows))
+            d_j, e_j = np.array([row[1][j] for row in rows]), np.array([row[2][j] for row in rows])
+            # the natural entry's sum counts samples before the start as zero
+            norm = np.sum(0.8 ** np.arange(5)) if j == 0 else np.sum(beta * d_j**2)
+            delta[j] = eta * np.sum(beta * d_j * e_j) / (norm + 1e-6 * (j > 0))
+        size = np.maximum(np.abs(delta), 0.025 * i_max)
+        delta *= 0.025 * i_max / size
+        if k < 3:
+            continue
+        a, b = pair
+        g_a, g_b = g[k - 1, a] + delta[1], g[k - 1, b] + delta[2]
+        c = b % 6 + 1
+        new = {a: g_a, b: g_b, c: g_b - g_a}
+        new |= {(j + 2) % 6 + 1: -value for j, value in new.items()}
+        expected = [g[k - 1, 0] + delta[0], *(new[j] for j in range(1, 7))]
+        np.testing.assert_allclose(g[k], expected, atol=1e-9)
+        seen.add(pair)
+    assert len(seen) == 6
 
 
 def test_saturation_is_learned():

@@ -23,6 +23,7 @@ from mfpcc_controller.schemes import (
     mfpcc,
     mfpcc_two_vector,
     mls_mfpcc,
+    mls_mfpcc_paper,
     neso_mfpcc,
     pi_foc,
     ultra_local_eso,
@@ -34,6 +35,7 @@ from pwm_node.compiled import kernel
 #: The position is the number by which the kernels know a scheme.
 BUILT_IN: tuple[BuiltIn, ...] = (
     mls_mfpcc.SCHEME,
+    mls_mfpcc_paper.SCHEME,
     mfpcc.SCHEME,
     mbpcc.SCHEME,
     mbpcc_single_vector.SCHEME,
