@@ -49,9 +49,28 @@ def open_bag(path: Path) -> Iterator[Reader]:
         )
     try:
         with Reader(path) as reader:
+            for storage in getattr(reader.storage, "storages", [reader.storage]):
+                _read_unindexed(storage, path)
             yield reader
     except ReaderError as error:
         raise RuntimeError(f"{path}: {error}") from None
+
+
+def _read_unindexed(storage: Any, path: Path) -> None:
+    """
+    Have an MCAP file without message indexes read from front to back.
+
+    By its chunk index alone the reader would find no message in it. ROS 2 falls back to the order
+    of the file.
+    """
+    chunks = getattr(storage, "chunks", None)
+    if not chunks or all(chunk.message_index_offsets for chunk in chunks):
+        return
+    if not storage.metadata.message_count:
+        raise RuntimeError(
+            f"{path}: has neither message indexes nor statistics, so its messages are not found"
+        )
+    chunks.clear()
 
 
 # --- What is in a bag --------------------------------------------------------------------------

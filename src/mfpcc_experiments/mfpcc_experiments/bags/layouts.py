@@ -23,6 +23,7 @@ from mfpcc_experiments.bags.bag import message_definition
 
 # What rosbag2 writes before each definition in IDL.
 _IDL_HEAD = re.compile(r"^={80}\nIDL: .*\n", re.MULTILINE)
+_IDL_INCLUDE = re.compile(r"^\s*#include .*$", re.MULTILINE)
 _LARGEST_DEFINITION = 1 << 20  # characters
 
 _ELEMENTS = {
@@ -181,7 +182,7 @@ def _fields(text: str, encoding: str, type_name: str) -> tuple[tuple[str, _Kind]
         if encoding == "ros2msg":
             types |= get_types_from_msg(text, type_name)
         else:
-            for part in _IDL_HEAD.split(text):
+            for part in _IDL_HEAD.split(_IDL_INCLUDE.sub("", text)):
                 types |= get_types_from_idl(part) if part.strip() else {}
         return _of_type(type_name, types, depth=0)
     except (TypesysError, KeyError, RecursionError, TypeError, ValueError) as error:

@@ -190,8 +190,8 @@ class _Copy:
             if isinstance(error, mcap_file.DamagedError) and not self.damaged:
                 self.damaged = 1
         self._flush()
-        for channel_id in sorted(set(self._channels.channels) - self._sent):
-            self._describe_silent(channel_id)
+        for channel_id in sorted(set(self._channels.channels) - set(self.sink.channels)):
+            self._keep_silent(channel_id)
 
     @property
     def leaves_out(self) -> bool:
@@ -272,14 +272,14 @@ class _Copy:
         if channel.schema_id in self._channels.schemas:
             self.sink.schemas[channel.schema_id] = self._channels.schemas[channel.schema_id]
 
-    def _describe_silent(self, channel_id: int) -> None:
-        """Say of a channel without messages that it is there."""
-        channel = self._channels.channels[channel_id]
-        schema = self._channels.schemas.get(channel.schema_id)
-        for record in (schema, channel):
-            if record is not None:
-                opcode, content = encode(record)[0], encode(record)[9:]
-                self.sink.record(opcode, content)
+    def _keep_silent(self, channel_id: int) -> None:
+        """Keep a channel that has no messages."""
+        if channel_id not in self._sent:
+            channel = self._channels.channels[channel_id]
+            for record in (self._channels.schemas.get(channel.schema_id), channel):
+                if record is not None:
+                    data = encode(record)
+                    self.sink.record(data[0], data[9:])
         self._know(channel_id)
 
     def _description(self, channel_id: int) -> bytes:

@@ -134,7 +134,10 @@ def main(args: argparse.Namespace) -> Result:
                     break
             _wait_for_acknowledgement(publishers, args.wait_for_all_acked)
         except KeyboardInterrupt:
-            pass  # that is how one stops it
+            return None  # that is how one stops it
+        said = sum(connection.msgcount for connection, _ in publishers.values())
+        if said and not player.published and end is None and not args.start_offset:
+            return f"{args.bag_path}: no message was found of the {said} that it should hold"
     return None
 
 
@@ -206,6 +209,7 @@ class _Player:
     publishers: dict[int, tuple[Any, Publisher]]
     rate: float
     clock: _Ticks | None
+    published: int = field(default=0, init=False)
     _begun: float = field(default=0.0, init=False)
     _next_tick: float = field(default=0.0, init=False)
 
@@ -218,6 +222,7 @@ class _Player:
             while (now := time.monotonic()) < due:
                 self._wait(now, due, start)
             _publish(publisher, data)
+            self.published += 1
 
     def _wait(self, now: float, due: float, start: int) -> None:
         """Sleep until `due`, or less."""
