@@ -48,7 +48,7 @@ bench:  ## every speed figure, beside its reference, measured now
 
 .PHONY: fresh
 fresh:  ## from an empty folder and home: demo, demo again, all tests; the time of each step
-	@tools/fresh.sh
+	@"$$($(SET_UP) --which)" tools/fresh.py
 
 .PHONY: docs
 docs: build  ## docs/reference.md, written from the code

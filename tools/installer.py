@@ -21,7 +21,7 @@ from configparser import RawConfigParser
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from steps import SetUpError, StepError, Steps, show
+from steps import SetUpError, StepError, Steps
 
 # pip's names of the settings that say how an index is reached.
 _INDEX_SETTINGS = (
@@ -155,7 +155,6 @@ class Installer:
             self._steps.run(step, [*command, *arguments], environment=self._variables)
         except StepError as error:
             if any(words in error.output.lower() for words in _UNREACHABLE):
-                show(error)
                 raise SetUpError(
                     f"no package index could be reached ({_index_of(self._settings)}). Look at the "
                     "network, at the proxy and at what `pip config list` says of index and "

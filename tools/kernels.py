@@ -12,7 +12,7 @@ import sys
 
 from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
 
-from pwm_node.compiled import direct
+from pwm_node.compiled import cache_folder, direct
 from pwm_node.wire import Wire
 
 
@@ -38,5 +38,14 @@ def controller() -> None:
     core.bind(Wire(PhaseFeedback).fixed, Wire(DutyCommand).fixed, Wire(LutDiagnostics).fixed)
 
 
+def main(part: str) -> None:
+    """Compile a part, if what is compiled can be kept."""
+    try:
+        cache_folder().mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return  # each start compiles anew, and says so
+    {"plant": plant, "controller": controller}[part]()
+
+
 if __name__ == "__main__":
-    {"plant": plant, "controller": controller}[sys.argv[1]]()
+    main(sys.argv[1])

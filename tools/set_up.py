@@ -331,7 +331,10 @@ def _remove(folder: Path) -> None:
     if folder.is_symlink():
         folder.unlink()
     elif folder.exists():
-        shutil.rmtree(folder)
+        try:
+            shutil.rmtree(folder)
+        except OSError as error:
+            raise SetUpError(f"{error.filename} cannot be removed: {error.strerror}") from None
 
 
 @contextmanager
