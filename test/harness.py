@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import signal
@@ -95,6 +96,12 @@ class Process:
         """Send a signal."""
         self._popen.send_signal(number)
 
+    def end(self, *numbers: signal.Signals) -> int:
+        """Send signals, and wait until it has ended; returns its exit code."""
+        for number in numbers:
+            self.signal(number)
+        return self.wait()
+
     def limit(self, what: int, value: int) -> None:
         """Set a limit of `resource` while it runs."""
         resource.prlimit(self._popen.pid, what, (value, value))
@@ -123,6 +130,10 @@ class Process:
                 self._popen.wait(10.0)
             except subprocess.TimeoutExpired:
                 self.kill()
+        # what it had started and left, if anything, goes with it
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._popen.pid, signal.SIGKILL)
+        self._reader.join(PATIENCE)
 
 
 def until(condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -> None:

@@ -7,17 +7,21 @@ has not got yet, so that a recorder loses nothing: one that is slow slows the lo
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import QoSPublisherEventType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 PUBLISH = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 SUBSCRIBE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+# An executor may have a message to deliver from before, and does not hold what it refers to.
+_REMOVED: deque[Any] = deque(maxlen=16)
 
 # A subscriber that was killed holds a publisher up until the middleware declares it dead (20 s).
 _PATIENCE = 30.0  # s
@@ -58,21 +62,16 @@ class LoopPublisher:
 
     def _create(self) -> None:
         self._total = 0
-        self._publisher = self._node.create_publisher(
-            self._msg_class,
-            self._name,
-            PUBLISH,
-            event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
+        self._publisher = self._node.create_publisher(self._msg_class, self._name, PUBLISH)
+        # Looked at now and then, and no business of the executor. That one must not have an event
+        # of a publisher that goes: it raises InvalidHandle, or the process crashes, since rclpy
+        # 7.1.6 then gives up the last hold on a Python object without the interpreter's lock.
+        self._matched = rclpy_implementation.EventHandle(
+            self._publisher.handle, QoSPublisherEventType.RCL_PUBLISHER_MATCHED
         )
         self.topic: str = self._publisher.topic_name
         # The method around it would cost as much again as the publishing itself.
         self._publish_raw = self._publisher.handle.publish_raw
-
-    def _on_matched(self, status: Any) -> None:
-        # The changes that come with it are not to be trusted: of the first match they say 0.
-        if status.total_count > self._total:
-            self._total = status.total_count
-            self._matches += 1
 
     @property
     def listeners(self) -> int:
@@ -104,7 +103,10 @@ class LoopPublisher:
 
     @property
     def new_listener(self) -> bool:
-        """True if a subscriber came since the last message was sent, and so has not got it."""
+        """True if a subscriber came since the last message was sent, and so has not got it.
+
+        As `settle` last saw it.
+        """
         return self._sent_at_match is not None and self._matches != self._sent_at_match
 
     def settle(self) -> None:
@@ -116,6 +118,10 @@ class LoopPublisher:
         next 5000. In another process it gets on well. So for a newcomer in this process a
         publisher that was used begins anew, with an empty history.
         """
+        total = self._matched.take_event().total_count
+        if total > self._total:
+            self._total = total
+            self._matches += 1
         if self._settled_match == self._matches:
             return
         self._settled_match = self._matches
@@ -125,7 +131,7 @@ class LoopPublisher:
         if newcomers and self._sent_at_match is not None:
             if elsewhere:
                 self.flush(_FLUSH)
-            self._node.destroy_publisher(self._publisher)
+            self.destroy()
             self._create()
 
     def flush(self, seconds: float) -> bool:
@@ -137,6 +143,7 @@ class LoopPublisher:
 
     def destroy(self) -> None:
         """Remove the publisher from its node."""
+        self._matched.destroy_when_not_in_use()
         self._node.destroy_publisher(self._publisher)
 
     def _subscribers(self) -> tuple[set[bytes], set[bytes]]:
@@ -221,5 +228,11 @@ class LoopSubscription:
         self.direct = False
 
     def destroy(self) -> None:
-        """Remove the subscription from its node."""
+        """Remove the subscription from its node; what has come and was not handled is dropped."""
+        self.callback = self.subscription.callback = _drop
         self._node.destroy_subscription(self.subscription)
+        _REMOVED.append(self.subscription)
+
+
+def _drop(data: bytes) -> None:
+    """Take a message for which it is too late."""

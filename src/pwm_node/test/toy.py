@@ -71,6 +71,7 @@ class Ping(PwmNode):
             self.apply_due(period)
             self.loads[period] = self.core.values["load"]
         self.sample.fixed["period"] = period
+        self.sample.fixed["dc_voltage"] = self.core.values["load"]  # for who listens
         self.out.publish(self.sample.to_bytes())
 
     def on_command(self, data):
