@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from harness import Process
+from harness import PATIENCE, Process
 from outside import Outside
 
 #: C library functions with a system clock that is off by as many seconds as a file has bytes (the
@@ -98,14 +98,16 @@ def make_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[int
         source, library, offset = (tmp_path / name for name in ("clock.c", "clock.so", "offset"))
         source.write_text(CLOCK)
         command = [compiler, "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"]
-        subprocess.run(command, check=True, timeout=60)
+        subprocess.run(command, check=True, timeout=PATIENCE)
         for name, value in (("LD_PRELOAD", library), ("OFFSET", offset), ("SIGN", sign)):
             monkeypatch.setenv(name, str(value))
 
         def set_clock() -> None:
             offset.write_bytes(bytes(HOUR))
             program = "import time; print(time.time())"
-            shown = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=60)
+            shown = subprocess.run(
+                [sys.executable, "-c", program], capture_output=True, timeout=PATIENCE
+            )
             assert abs(float(shown.stdout) - time.time() - sign * HOUR) < 600.0, shown
 
         return set_clock

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from domains import own_domain
+from harness import PATIENCE
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ["mfpcc", "run", "steady_750_2", *schemes, "--out", str(out)],
             capture_output=True,
             text=True,
-            timeout=110,
+            timeout=PATIENCE,
         )
     assert done.returncode == 0, done.stdout + done.stderr
     assert str(out / "report.html") in done.stdout
@@ -82,7 +83,7 @@ def test_nothing_is_overwritten_without_force(folder: Path) -> None:
         ["mfpcc", "run", "steady_750_2", "--out", str(folder)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE,
     )
     assert again.returncode != 0
     assert "--force" in again.stderr and "Traceback" not in again.stderr

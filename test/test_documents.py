@@ -33,7 +33,7 @@ import pytest
 import rclpy
 import yaml
 from domains import own_domain
-from harness import Process, until
+from harness import PATIENCE, Process, until
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 from rclpy.node import NodeNameNonExistentError
@@ -46,9 +46,6 @@ from pmsm_sim.parameters import TABLE as PLANT
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
-
-#: Bound on a block, for a slow and busy machine.
-PATIENCE = 300.0  # s
 
 #: Shell functions in place of what takes minutes, or a desktop: they only see that it is there.
 STEPS_ASIDE = r"""

@@ -106,7 +106,7 @@ def test_two_axes_do_not_touch_each_other() -> None:
                 [str(ROS2), "param", "get", "--timeout", str(int(PATIENCE)), *name.split()],
                 capture_output=True,
                 text=True,
-                timeout=2 * PATIENCE,
+                timeout=PATIENCE * PATIENCE,
             )
             assert answer.stdout == value, process.output + answer.stderr
         # a moment of running together: each axis sees its own loop only

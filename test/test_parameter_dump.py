@@ -47,7 +47,7 @@ pytestmark = pytest.mark.skipif(ROS2 is None, reason="needs `source setup.bash`"
 def ros2_param(verb: str, *arguments: str) -> str:
     """What `ros2 param` prints; it waits for the node."""
     command = [str(ROS2), "param", verb, "--timeout", str(int(PATIENCE)), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=2 * PATIENCE)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE * PATIENCE)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

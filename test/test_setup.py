@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 
 import pytest
 from ament_index_python import get_package_prefix, get_packages_with_prefixes
+from harness import PATIENCE
 
 ROOT = Path(__file__).resolve().parent.parent
 PYTHON_PACKAGES = sorted(file.parent.name for file in ROOT.glob("src/*/setup.py"))
@@ -201,7 +202,7 @@ def run(
         env=environment,
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=PATIENCE,
     )
 
 

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from harness import PATIENCE
 
 from mfpcc_experiments import cli
 from mfpcc_experiments.files import ResultFolderError, result_folder
@@ -340,7 +341,9 @@ def test_help_loads_nothing_heavy() -> None:
         "heavy = {'numpy', 'numba', 'matplotlib', 'pydantic', 'rich', 'rclpy', 'yaml'}\n"
         "sys.exit(', '.join(heavy & set(sys.modules)) or None)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE
+    )
     assert done.returncode == 0, done.stderr
 
 

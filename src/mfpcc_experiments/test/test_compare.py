@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from harness import PATIENCE
 
 from mfpcc_experiments.bags import bag, recording
 from mfpcc_experiments.measuring import happened, measured, metrics
@@ -284,7 +285,7 @@ def test_long_traces_keep_their_extremes_and_the_window():
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
 def test_the_viewers_program_is_sound(tmp_path):
     program = Path(report.__file__).parent / "templates" / "viewer.js"
-    subprocess.run(["node", "--check", program], check=True, timeout=60)
+    subprocess.run(["node", "--check", program], check=True, timeout=PATIENCE)
 
 
 def test_window_of_a_long_recording_is_all_that_is_kept(make_bag):

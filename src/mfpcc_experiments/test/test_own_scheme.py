@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from harness import PATIENCE
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "own_scheme.md"
 
@@ -52,7 +53,9 @@ def environment(tmp_path_factory) -> dict[str, str]:
     # as on the page, but not into the environment that the tests run in
     command = "-m pip install --no-index --no-build-isolation --no-deps -q --target"
     subprocess.run(
-        [sys.executable, *command.split(), str(installed), str(source)], check=True, timeout=100
+        [sys.executable, *command.split(), str(installed), str(source)],
+        check=True,
+        timeout=PATIENCE,
     )
     path = os.pathsep.join([str(installed), os.environ.get("PYTHONPATH", "")])
     return {**os.environ, "PYTHONPATH": path}
@@ -63,7 +66,7 @@ def python(code: str, environment: dict[str, str]) -> str:
         [sys.executable, "-c", code],
         env=environment,
         check=True,
-        timeout=100,
+        timeout=PATIENCE,
         capture_output=True,
         text=True,
     )

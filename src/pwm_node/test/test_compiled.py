@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from harness import PATIENCE
 
 from pwm_node.compiled import direct, kernel
 
@@ -50,7 +51,7 @@ def run(tmp_path):
             env=environment,
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=PATIENCE,
             check=True,
         )
         said = result.stderr.count("compiling kernels (first start only)")

@@ -5,7 +5,7 @@ import time
 from contextlib import closing
 
 import pytest
-from harness import until
+from harness import PATIENCE, until
 
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("mfpcc_msgs.msg")
@@ -15,6 +15,7 @@ from lifecycle_msgs.msg import State, Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from mfpcc_msgs.msg import PhaseFeedback  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.experimental.events_executor import EventsExecutor  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 from rclpy.parameter_client import AsyncParameterClient  # noqa: E402
 from rclpy.task import Future  # noqa: E402
@@ -33,11 +34,12 @@ class Client:
         self.node = rclpy.create_node("client", context=self.context)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
-        self.sample = None
-        self.node.create_subscription(PhaseFeedback, "phase_feedback", self._take, 1)
+        self.parts = {}
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
 
     def _take(self, message):
-        self.sample = message
+        for part in message.status:
+            self.parts[part.name] = (part, {pair.key: pair.value for pair in part.values})
 
     def look(self):
         self._executor.spin_once(0.02)
@@ -49,12 +51,17 @@ class Client:
 
         until(holds, what)
 
-    def goes_on(self, periods=1000):
+    def period(self):
+        """The period that ping has told of last, -1 before the first."""
+        _, values = self.parts.get("ping: loop", (None, {"period": "-1"}))
+        return int(values["period"])
+
+    def goes_on(self, periods=100):
         """Wait until the loop has run so many periods more."""
-        self.sample = None
-        self.until(lambda: self.sample is not None, "a sample")
-        end = self.sample.period + periods
-        self.until(lambda: self.sample.period >= end, f"{periods} periods more")
+        self.parts.clear()
+        self.until(lambda: self.period() >= 0, "diagnostics")
+        end = self.period() + periods
+        self.until(lambda: self.period() >= end, f"{periods} periods more")
 
     def answer(self, future):
         self.until(future.done, "an answer")
@@ -81,11 +88,11 @@ def running(start):
     assert process.end(signal.SIGINT) == 0, process.output
 
 
-def run_to_the_end(context, *nodes, seconds=60.0):
+def run_to_the_end(context, *nodes):
     """Run nodes until the first has nothing more to do."""
     until = Future()
     ping = nodes[0]
-    end = time.monotonic() + seconds
+    end = time.monotonic() + PATIENCE
 
     def look():
         done = ping.period >= 0 and ping.awaited is None
@@ -123,7 +130,7 @@ def test_parameters_are_live_at_full_speed(running, client):
 
     for load in range(1, 11):
         assert set_load(float(load)).successful
-        client.until(lambda load=load: client.sample.dc_voltage == load, f"load {load} acts")
+    client.until(lambda: client.parts["ping: load"][1]["load"] == "10", "the load acts")
     client.goes_on()
 
     wrong = set_load(50.0)
@@ -141,10 +148,10 @@ def test_managed_life_cycle(running, client):
         assert client.answer(change.call_async(request)).success
         return client.answer(state.call_async(GetState.Request())).current_state.id
 
-    client.goes_on(10)
+    client.goes_on()
     assert to(Transition.TRANSITION_DEACTIVATE) == State.PRIMARY_STATE_INACTIVE
     assert to(Transition.TRANSITION_ACTIVATE) == State.PRIMARY_STATE_ACTIVE
-    client.goes_on(10)
+    client.goes_on()
     for _ in range(3):
         assert to(Transition.TRANSITION_DEACTIVATE) == State.PRIMARY_STATE_INACTIVE
         assert to(Transition.TRANSITION_CLEANUP) == State.PRIMARY_STATE_UNCONFIGURED
@@ -153,21 +160,16 @@ def test_managed_life_cycle(running, client):
             client.until(lambda count=count, topic=topic: count(topic) == 0, f"{topic} has gone")
         assert to(Transition.TRANSITION_CONFIGURE) == State.PRIMARY_STATE_INACTIVE
         assert to(Transition.TRANSITION_ACTIVATE) == State.PRIMARY_STATE_ACTIVE
-        client.goes_on(10)
+        client.goes_on()
 
 
 def test_diagnostics(running, client):
-    came = Future()
+    def runs():
+        part, _ = client.parts.get("ping: loop", (None, {}))
+        return part is not None and part.message == "running"
 
-    def look(message):
-        status = {each.name: each for each in message.status}
-        part = status.get("ping: loop")
-        if part is not None and part.message == "running" and not came.done():
-            came.set_result(part)
-
-    client.node.create_subscription(DiagnosticArray, "/diagnostics", look, 10)
-    part = client.answer(came)
-    values = {pair.key: pair.value for pair in part.values}
+    client.until(runs, "the loop runs")
+    part, values = client.parts["ping: loop"]
     assert part.level == DiagnosticStatus.OK and part.hardware_id == "ping"
     assert float(values["loop rate (Hz)"]) > 0.0
     assert values["missed periods"] == "0" and values["lost periods"] == "0"
@@ -226,6 +228,31 @@ def test_a_new_subscriber_in_the_process_of_a_publisher_with_a_full_history(toy,
     for _ in range(100):
         publisher.publish(data)
         assert second.take(PhaseFeedback, True) is not None
+    executor.shutdown()
+    node.destroy_node()
+
+
+def test_a_message_for_a_subscription_that_has_gone_is_dropped(toy, context):
+    node = toy.Ping(context=context)
+    executor = EventsExecutor(context=context)
+    executor.add_node(node)
+    publisher = node.create_loop_publisher(PhaseFeedback, "phase_feedback")
+    taken = []
+
+    def serve():
+        spin._serve_one(executor, 0.01)
+        return publisher.listeners == 1
+
+    for times in range(1, 4):
+        subscription = LoopSubscription(node, PhaseFeedback, "phase_feedback", taken.append, "")
+        until(serve, "they are matched")
+        publisher.publish(node.sample.to_bytes())
+        until(lambda times=times: serve() and len(taken) == times, "a message is served")
+        publisher.publish(node.sample.to_bytes())
+        subscription.destroy()
+        publisher.publish(node.sample.to_bytes())
+        until(lambda: not serve(), "the subscription has gone")
+        assert len(taken) == times
     executor.shutdown()
     node.destroy_node()
 

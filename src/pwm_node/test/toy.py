@@ -7,6 +7,7 @@ import sys
 
 from mfpcc_msgs.msg import DutyCommand, PhaseFeedback
 
+from pwm_node.diagnostics import Part
 from pwm_node.node import PwmNode
 from pwm_node.parameters import Parameter, Table
 from pwm_node.spin import main
@@ -71,8 +72,10 @@ class Ping(PwmNode):
             self.apply_due(period)
             self.loads[period] = self.core.values["load"]
         self.sample.fixed["period"] = period
-        self.sample.fixed["dc_voltage"] = self.core.values["load"]  # for who listens
         self.out.publish(self.sample.to_bytes())
+
+    def diagnostics(self):
+        return [Part("load", "", values={"load": self.core.values["load"]})] if self.active else []
 
     def on_command(self, data):
         self.command.load(data)

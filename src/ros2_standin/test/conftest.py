@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import pytest
 from domains import own_domain
+from harness import PATIENCE
 
 from ros2_standin.main import execute, parse
 
 COMMAND = Path(__file__).parents[1] / "path/ros2"
 REMOTE = Path(__file__).with_name("remote.py")
 SLOW_SERVER = Path(__file__).with_name("slow_server.py")
-PATIENCE = 40.0  # s, for whatever others have to do on a busy machine
 
 
 class Outcome(NamedTuple):

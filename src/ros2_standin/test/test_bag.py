@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 import rclpy
+from harness import PATIENCE
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import Header
@@ -14,7 +15,6 @@ from std_msgs.msg import Header
 from ros2_standin.listen import Spinner
 from ros2_standin.recorded_qos import offer_of
 
-PATIENCE = 40.0  # s
 TOPICS = ("/ticks", "/latched")
 
 
