@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import importlib
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -390,6 +391,23 @@ def fill(place: Path, name: str = "metrics.json", *, force: bool = False) -> Non
         (folder / name).write_bytes(bytes(100_000))
         if name != "metrics.json":
             raise RuntimeError("the work failed")
+
+
+def test_what_somebody_of_the_same_number_left_is_no_hindrance(tmp_path: Path) -> None:
+    left = [f"here.{what}-{os.getpid()}" for what in ("partial", "replaced")]
+    for name in left:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "kept").write_text("")
+    fill(tmp_path / "here")
+    fill(tmp_path / "here", force=True)
+    assert names(tmp_path) == ["here", *left]
+    assert all((tmp_path / name / "kept").exists() for name in left)
+
+
+def test_folders_made_on_the_way_go_with_it(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError):
+        fill(tmp_path / "a/b/c", "some.txt")
+    assert names(tmp_path) == []
 
 
 @pytest.mark.parametrize("force", [False, True])

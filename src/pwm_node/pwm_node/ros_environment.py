@@ -74,7 +74,7 @@ def _check_middleware(wanted: str) -> None:
         return
     from ament_index_python import get_resources
 
-    there = sorted(get_resources(_MIDDLEWARES))
+    there = sorted(set(get_resources(_MIDDLEWARES)) - {"rmw_implementation"})
     if there and wanted not in there:
         raise RosError(
             f"RMW_IMPLEMENTATION={wanted}: there is no such middleware here, but "

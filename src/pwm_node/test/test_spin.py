@@ -303,6 +303,38 @@ def test_a_misspelt_parameter_ends_the_start(start):
     assert process.output.startswith("error: unknown parameter 'fial_at'")
 
 
+def test_what_is_meant_for_others_is_ignored(start, tmp_path):
+    file = tmp_path / "all.yaml"
+    file.write_text(
+        "/**:\n  ros__parameters: {periods: 500, camera: {fps: 30}, laod: 1.0, scheme: two}\n"
+    )
+    process = start("ping", "--ros-args", "--params-file", str(file))
+    process.wait_for("parameters of others, ignored: ")
+    said = f"{file}: parameters of others, ignored: camera.fps, laod (did you mean load?)"
+    assert said in process.output, process.output
+    assert process.end(signal.SIGINT) == 0
+
+
+def test_in_its_own_section_a_misspelt_parameter_is_an_error(start, tmp_path):
+    file = tmp_path / "ping.yaml"
+    file.write_text("/**:\n  ros__parameters: {fps: 3}\nping:\n  ros__parameters: {laod: 1.0}\n")
+    process = start("ping", "--ros-args", "--params-file", str(file))
+    assert process.wait() == 1
+    assert "error: unknown parameter 'laod'; did you mean 'load'?" in process.output
+
+
+def test_one_new_name_for_two_nodes(start):
+    process = start("both", "--ros-args", "-r", "__node:=x")
+    assert process.wait() == 1
+    assert process.output.endswith(
+        "error: two nodes of this process would be named /x: a new name for one of them needs the "
+        "old one in front of it ('-r pmsm_sim:__node:=plant')\n"
+    )
+    process = start("both", "--ros-args", "-r", "ping:__node:=x", "-p", "periods:=500")
+    process.wait_for("done 500")
+    assert process.end(signal.SIGINT) == 0
+
+
 def test_an_idle_node_does_not_look_round_and_round(toy, context, monkeypatch):
     node = toy.Pong(context=context)
     enough, turns, ticks = Future(), [], []

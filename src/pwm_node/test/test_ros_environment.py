@@ -1,0 +1,71 @@
+"""What is wrong before ROS starts is said in plain words."""
+
+import os
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from rclpy.context import Context
+
+from pwm_node import ros_environment
+from pwm_node.ros_environment import RosError
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("ROS_DOMAIN_ID", "abc", "ROS_DOMAIN_ID=abc: a whole number from 0 to 232"),
+        ("ROS_DOMAIN_ID", "-1", "ROS_DOMAIN_ID=-1: a whole number from 0 to 232"),
+        ("ROS_DOMAIN_ID", "233", "ROS_DOMAIN_ID=233: a whole number from 0 to 232"),
+        ("ROS_DOMAIN_ID", "5e1", "ROS_DOMAIN_ID=5e1: a whole number"),
+        ("RMW_IMPLEMENTATION", "rmw_x", "RMW_IMPLEMENTATION=rmw_x: there is no such middleware"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "off", "RANGE=off: there are only SUBNET, LOCALHOST"),
+        ("FASTRTPS_DEFAULT_PROFILES_FILE", "/nope.xml", "FILE=/nope.xml: no such file"),
+    ],
+)
+def test_variables(monkeypatch, name, value, reason):
+    monkeypatch.setenv(name, value)
+    with pytest.raises(RosError, match=reason):
+        ros_environment.check()
+
+
+def test_good_ones(monkeypatch):
+    for name, value in (("ROS_DOMAIN_ID", "232"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")):
+        monkeypatch.setenv(name, value)
+    ros_environment.check()
+    with pytest.raises(RosError, match="RANGE=OFF: 2 processes would never find each other"):
+        ros_environment.check(processes=2)
+
+
+def test_a_full_shared_memory(monkeypatch):
+    full = SimpleNamespace(f_bavail=2, f_frsize=4096, f_blocks=100)
+    monkeypatch.setattr(os, "statvfs", lambda path: full)
+    with pytest.raises(RosError, match=r"^/dev/shm is full \(8 KiB free, 4 MiB needed\)"):
+        ros_environment.check()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ("-r x", r"'-r x': not a remap rule \(FROM:=TO\)"),
+        ("-r __node:=a/b", "'-r __node:=a/b': not a remap rule"),
+        ("-p x", "'-p x': not a parameter override rule"),
+        ("--params-file /nope", "'--params-file /nope': error opening YAML file"),
+        ("--log-level nope", "'--log-level nope': not a log level"),
+        ("--bad --worse", "unknown arguments after --ros-args: --bad --worse"),
+    ],
+)
+def test_arguments(domain, arguments, reason):
+    with pytest.raises(RosError, match=f"^{reason}") as caught:
+        ros_environment.init(["--ros-args", *arguments.split()], Context())
+    assert "/src/" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_no_place_for_the_logs():
+    text = (
+        "failed to initialize logging: Failed to create log directory '/x/.ros/log': 2, "
+        "at /project/src/rcl_logging_spdlog.cpp:154"
+    )
+    assert ros_environment.plain(text).startswith("/x/.ros/log: the folder of ROS's logs cannot be")
