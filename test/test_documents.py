@@ -25,14 +25,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 import rclpy
 import yaml
-from domains import own_domain
 from harness import PATIENCE, Process, until
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
@@ -242,43 +240,18 @@ def shown(line: str, process: Process) -> bool:
     return re.search(pattern, process.output, re.MULTILINE) is not None
 
 
-def type_all(name: str, folder: Path, domain: int) -> None:
-    """Do what a page says, and raise where that is not what comes of it."""
+@pytest.mark.timeout(1200)
+@pytest.mark.skipif(shutil.which("ros2") is None, reason="needs `source setup.bash`")
+@pytest.mark.parametrize("name", [name for name in NAMES if commands(ROOT / name)])
+def test_commands_do_what_the_page_says(name: str, tmp_path: Path, domain: int) -> None:
     trips = GATES_OFF in (ROOT / name).read_text()  # a page about faults
-    with contextlib.closing(Desk(folder, domain, trips=trips)) as desk:
+    with contextlib.closing(Desk(tmp_path, domain, trips=trips)) as desk:
         for block in blocks(ROOT / name):
             try:
                 desk.do(block)
             except AssertionError as error:
                 raise AssertionError(f"{name}, line {block.line}: {error}") from None
         desk.tidy_up()
-
-
-@pytest.fixture(scope="module")
-def outcomes(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[dict[str, Future[None]]]:
-    """What comes of the pages that are asked for: two at a time, since much of it is waiting."""
-    wanted = [
-        item.callspec.params["name"]
-        for item in request.session.items
-        if item.path == request.path and item.originalname == "test_commands_do_what_the_page_says"
-    ]
-    wanted.sort(key=lambda name: -commands(ROOT / name))  # the longest first
-    with contextlib.ExitStack() as stack:
-        desks = [
-            (name, tmp_path_factory.mktemp("page"), stack.enter_context(own_domain()))
-            for name in wanted
-        ]
-        pool = stack.enter_context(ThreadPoolExecutor(2))
-        yield {desk[0]: pool.submit(type_all, *desk) for desk in desks}
-
-
-@pytest.mark.timeout(1800)
-@pytest.mark.skipif(shutil.which("ros2") is None, reason="needs `source setup.bash`")
-@pytest.mark.parametrize("name", [name for name in NAMES if commands(ROOT / name)])
-def test_commands_do_what_the_page_says(name: str, outcomes: dict[str, Future[None]]) -> None:
-    outcomes[name].result()
 
 
 # --- Links ----------------------------------------------------------------------------------------
