@@ -45,6 +45,7 @@ class Outside:
         self.scheme = ""
         self.status: dict[str, DriveStatus] = {}
         self._parts: dict[str, dict[str, str]] = {}
+        self._levels: dict[str, int] = {}
         subscribe = self.node.create_subscription
         subscribe(PhaseFeedback, "phase_feedback", self._on_feedback, 1)
         subscribe(DriveState, "drive_state", self._on_state, 10)
@@ -81,6 +82,7 @@ class Outside:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for part in message.status:
             self._parts[part.name] = {item.key: item.value for item in part.values}
+            self._levels[part.name] = part.level[0]
 
     def look(self) -> None:
         """Take in what came; returns after 20 ms if nothing does."""
@@ -89,6 +91,10 @@ class Outside:
     def diagnostic(self, part: str, key: str) -> float:
         """A value of the latest `/diagnostics`, NaN before the first."""
         return float(self._parts.get(part, {}).get(key, "nan"))
+
+    def level(self, part: str) -> int:
+        """Level of a part of the latest `/diagnostics`, -1 before the first."""
+        return self._levels.get(part, -1)
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
         """Look until a condition holds."""

@@ -19,6 +19,8 @@ from rclpy.parameter import Parameter
 
 from pmsm_sim.node import PmsmSim
 
+from pwm_node.diagnostics import Level
+
 #: 200 periods a second.
 FACTOR = 0.02
 RATE = 1e4 * FACTOR  # periods per second
@@ -155,6 +157,25 @@ def test_lost_wall_clock_time_is_told(start: Start, outside: Outside) -> None:
         return outside.diagnostic("pmsm_sim: inverter", "periods left out (wall clock)")
 
     until(lambda: left_out() >= 0.5 * RATE, "the periods left out are told")
+    outside.until(
+        lambda: outside.diagnostic("pmsm_sim: pace", "real-time factor asked for") == FACTOR,
+        "the pace is told",
+    )
+
+
+def test_a_pace_beyond_the_machine_is_a_warning(start: Start, outside: Outside) -> None:
+    start_nodes(start, "mfpcc_experiments", "drive")
+    outside.until_beyond(20, "the drive runs")
+    (answer,) = outside.set("pmsm_sim", real_time_factor=100.0)
+    assert answer.successful, answer.reason
+    outside.until(
+        lambda: outside.level("pmsm_sim: pace") == Level.WARN, "that it falls behind is told"
+    )
+    asked, achieved = (
+        outside.diagnostic("pmsm_sim: pace", f"real-time factor {which}")
+        for which in ("asked for", "achieved")
+    )
+    assert 0.0 < achieved < asked == 100.0
 
 
 def test_the_pace_can_be_changed_while_it_runs(start: Start, outside: Outside) -> None:

@@ -264,6 +264,9 @@ def test_a_row_agrees_with_the_messages(seed: int, tmp_path: Path) -> None:
     if any(name == "restart" for _, name in script.events):
         assert "the period number goes back" in said
 
+    if offs:  # of what came with it, or after it, nothing went on
+        assert "went on" not in said
+
     # The exit code is that of the truth.
     failed = off_inside or oracle.fell_back or bool(gaps) or bool(script.faults)
     assert notes.exit_code([row]) == (notes.NOT_AS_ASKED if failed else 0), said

@@ -230,7 +230,7 @@ class History:
         """Faults that neither switched the gates off nor let another scheme take over."""
         found = []
         for fault in self.faults:
-            if any(off.begin - _REACTION <= fault.period <= off.begin for off in self.offs):
+            if any(off.begin - _REACTION <= fault.period < off.end for off in self.offs):
                 continue
             when = self._at(fault.period)
             if fault.code not in _OF_SCHEMES:
