@@ -17,8 +17,7 @@ from pathlib import Path
 import pytest
 from ament_index_python.packages import get_package_prefix
 from harness import PATIENCE, Process, until
-
-from mfpcc_experiments.bags import recording
+from mcap.reader import make_reader
 
 HERE = Path(__file__).resolve().parent
 REFERENCE = HERE.parent / "bags/reference/pi_foc"
@@ -176,8 +175,11 @@ def test_the_terminal_is_closed(start: Callable[..., Process], place: Path) -> N
     until(lambda: file.exists() and file.stat().st_size > 100_000, "it is recorded")
     os.close(terminal)
     assert record.wait(PATIENCE) == 0
-    found = recording.read(place / "bag")
-    assert not found.notes and found.lost_periods == 0
+    assert (place / "bag/metadata.yaml").exists()
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()  # which only a finished file has
+    assert summary is not None and summary.statistics is not None
+    assert summary.statistics.message_count > 100
     drive.signal(signal.SIGHUP)
     assert drive.wait() == 0
     assert "gates" not in drive.output and "Traceback" not in drive.output
