@@ -247,7 +247,9 @@ def test_failing_step_is_named_shown_and_not_trusted(empty):
     assert not (empty / ".venv/.complete").exists()
 
 
-@pytest.mark.parametrize("name", ["with space", "it's", 'a"quote', "dol$lar", "a:colon", "a%b"])
+@pytest.mark.parametrize(
+    "name", ["with space", "it's", 'a"quote', "dol$lar", "a:colon", "a%b", "größe"]
+)
 def test_a_path_that_cannot_work_is_refused_at_once(empty, name):
     folder = empty / name
     folder.mkdir()

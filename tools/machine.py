@@ -12,8 +12,8 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-# colcon's scripts and CMake's rules are not made for other ones, in the path of any file.
-_PATH = re.compile(r"[\w./+@~,=-]+")
+# colcon's scripts and the message generators are not made for other ones, in the path of any file.
+_PATH = re.compile(r"[\w./+@~,=-]+", re.ASCII)
 # What .venv, build and install take (GB), with the wheels in the cache beside them.
 _ROOM = 2.0
 
@@ -29,7 +29,7 @@ def path_problem(folder: Path) -> str | None:
     return (
         f"the path of this folder, '{ascii(str(folder))[1:-1]}', holds "
         f"{' and '.join(ascii(character) for character in wrong)}, which colcon and CMake cannot "
-        "cope with. Move it to a path of letters, digits and _ - . only"
+        "cope with. Move it to a path of letters a to z, digits and _ - . only"
     )
 
 
