@@ -18,7 +18,6 @@ from outside import Outside
 from rclpy.parameter import Parameter
 
 from pmsm_sim.node import PmsmSim
-
 from pwm_node.diagnostics import Level
 
 #: 200 periods a second.
