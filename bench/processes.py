@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
+import time
 from pathlib import Path
 
 import bare
@@ -49,4 +51,28 @@ def measure(*, quick: bool) -> list[Figure]:
             "s",
             bar="value <= 3",
         ),
+        figure(
+            "a plant that nobody answers, share of a core",
+            _idle_share(3.0 if quick else 20.0),
+            "%",
+            bar="value <= 10",
+        ),
     ]
+
+
+def _idle_share(seconds: float) -> float:
+    """Processor time of a plant that waits for a controller, in percent of the time."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        drives.running("pmsm_sim", "pmsm_sim", drives.PLANT, Path(folder)) as process,
+    ):
+        time.sleep(15.0)  # it has started, and waits
+        before = _processor_s(process.pid)
+        time.sleep(seconds)
+        return (_processor_s(process.pid) - before) / seconds * 100.0
+
+
+def _processor_s(pid: int) -> float:
+    """Processor time of a process so far (s)."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from harness import PATIENCE
 
 ROOT = Path(__file__).resolve().parent.parent
 PYTHON = getattr(sys, "_base_executable", sys.executable)
@@ -227,7 +228,7 @@ def set_up(folder: Path, *parts: str, **variables: str) -> subprocess.CompletedP
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=PATIENCE,
     )
 
 
@@ -300,7 +301,7 @@ def test_an_incomplete_lock_is_found_out(workspace, index):
 def venv(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An environment in which nothing is installed."""
     folder = tmp_path_factory.mktemp("venv")
-    subprocess.run([PYTHON, "-m", "venv", folder], check=True, timeout=100)
+    subprocess.run([PYTHON, "-m", "venv", folder], check=True, timeout=PATIENCE)
     return folder
 
 

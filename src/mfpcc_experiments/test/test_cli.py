@@ -260,7 +260,7 @@ def test_a_real_run_in_process(
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("rn steady_750_2", ["unknown verb 'rn'", "did you mean 'run'", "compare, faults, list"]),
+        ("rn steady_750_2", ["unknown verb 'rn'", "did you mean 'run'", "compare, export, faults"]),
         ("--versoin", ["--versoin", "--version"]),
         ("run", ["EXPERIMENT", "mfpcc run --help"]),
         ("run a b", ["(b)"]),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from ament_index_python.packages import get_package_prefix
+from harness import PATIENCE
 
 SCRIPT = Path(get_package_prefix("mfpcc_experiments")).parent / "mfpcc.completion.bash"
 
@@ -21,7 +22,7 @@ def offered(*words: str) -> list[str]:
         "printf '%s\\n' \"${COMPREPLY[@]}\""
     )
     done = subprocess.run(
-        ["bash", "-c", script], capture_output=True, text=True, timeout=60, env=os.environ
+        ["bash", "-c", script], capture_output=True, text=True, timeout=PATIENCE, env=os.environ
     )
     assert "Traceback" not in done.stderr
     return done.stdout.split()

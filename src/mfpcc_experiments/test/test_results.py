@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from harness import PATIENCE
 
 from mfpcc_experiments import Experiment, Result, cli, load, run
 from pwm_node.errors import ForPeople
@@ -103,7 +104,9 @@ def test_a_bag_that_is_not_there() -> None:
 def test_importing_is_cheap() -> None:
     """The command line imports this package: arrays and kernels only when they are asked for."""
     code = "import mfpcc_experiments, sys; sys.exit('numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0
+    assert (
+        subprocess.run([sys.executable, "-c", code], timeout=PATIENCE, check=False).returncode == 0
+    )
 
 
 def test_data_frame(short: Result) -> None:
