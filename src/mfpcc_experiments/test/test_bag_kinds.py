@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,7 +18,8 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
 from synthetic_drive import CONFIG, messages
 
-from mfpcc_experiments.bags import bag, recording
+from mfpcc_experiments import cli, notes
+from mfpcc_experiments.bags import bag, bag_parts, recording
 from mfpcc_experiments.notes import Severity
 
 ARRAYS = ("feedback", "command", "lut", "state", "scheme", "i_abc_oversampled", "legs_oversampled")
@@ -324,6 +326,15 @@ def test_a_bag_that_is_being_written(tmp_path: Path) -> None:
     assert len(recording.read(tmp_path / "live").feedback) == PERIODS
 
 
+def test_a_folder_of_results_with_bags_of_all_kinds(split: Path, tmp_path: Path) -> None:
+    kinds = [Kind(storage="sqlite3", listed="missing"), Kind(packed="file", listed="missing")]
+    made = [bag_kinds.write(tmp_path / str(n), [MESSAGES], kind) for n, kind in enumerate(kinds)]
+    (tmp_path / "figures").mkdir()
+    assert bag_parts.bags_in(tmp_path) == [*made, split]
+    assert bag_parts.bags_in(split) == [split]
+    assert bag_parts.bags_in(tmp_path / "figures") == [tmp_path / "figures"]
+
+
 # --- Completeness ---
 
 
@@ -334,6 +345,24 @@ def test_every_second_period_missing_from_all_topics_is_lost(tmp_path: Path) -> 
     half = [message for message in MESSAGES if period(message) % 2 == 0]
     found = recording.read(bag_kinds.write(tmp_path / "b", [half], Kind(), METADATA))
     assert found.lost_periods == 30  # 1, 3, ..., 59
+
+
+def test_what_is_left_out_is_an_error_if_one_is_strict(
+    split: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The figures are not of interest here, so none are drawn."""
+    from mfpcc_experiments.reporting import figures, report
+
+    monkeypatch.setattr(figures, "draw", lambda runs, folder: [])
+    monkeypatch.setattr(report, "render", lambda runs, drawn: "")
+    shutil.copy(split / "run_1.5_3.mcap", split / "stray.mcap")
+    line = f"compare {split} --window 0.001 0.005 --out {tmp_path / 'out'} --force"
+    text = "warning: MLS-MFPCC: stray.mcap in the folder is not a part of the bag"
+    plain = cli.run(line.split())
+    assert text in capsys.readouterr().out
+    (row,) = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert text.split(": ", 2)[2] in str(row["notes"])
+    assert (plain, cli.run([*line.split(), "--strict"])) == (0, notes.NOT_AS_ASKED)
 
 
 @pytest.mark.parametrize("metadata", [METADATA, {}])

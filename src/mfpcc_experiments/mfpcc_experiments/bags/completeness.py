@@ -200,13 +200,16 @@ def _trim(found: Selection, decimation: Mapping[str, int]) -> None:
     there = {name: period for name, period in found.period.items() if len(period)}
     ends = _ends(there)
     last = max(ends.values())
-    begin, end = 0, last
+    begin, end, ragged = 0, last, False
     for name, period in there.items():
-        # A message of a decimated topic stands for the periods up to the next one, and the last
-        # one of a topic that answers the samples may be missing.
-        step = _step(name, period, decimation)
-        begin = max(begin, int(period[0]) - _LEAD.get(name, 0) - (step - 1))
-        end = min(end, ends[name] + (0 if name == "phase_feedback" else step))
+        # A message of a decimated topic stands for the periods up to the next one.
+        more = _step(name, period, decimation) - 1
+        begin = max(begin, int(period[0]) - _LEAD.get(name, 0) - more)
+        end = min(end, ends[name] + more)
+        # The last message of a topic that answers the samples may be missing.
+        ragged |= ends[name] + more + int(name != "phase_feedback") < last
+    if not ragged:
+        end = last
     out: list[int] = []
     for name, period in there.items():
         lead = _LEAD.get(name, 0)

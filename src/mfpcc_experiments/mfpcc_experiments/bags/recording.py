@@ -249,7 +249,7 @@ class _Collector:
             )
 
     def _unconfigured(self) -> Note:
-        text = "no configuration of a run is stored in it: the whole recording is evaluated"
+        text = "no configuration of a run is stored in it; without a window all of it is evaluated"
         if "experiment" in self._parts.custom_data:
             run = self._parts.custom_data["experiment"]
             return warning(

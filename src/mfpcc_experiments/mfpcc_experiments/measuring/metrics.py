@@ -1287,7 +1287,7 @@ def of_the_run(recording: Recording) -> list[Note]:
     summary = recording.summary
     found = []
     if recording.lost_periods:
-        text = f"{recording.lost_periods} of {len(recording.feedback)} periods are incomplete"
+        text = f"{recording.lost_periods} periods of the recording are incomplete"
         found.append(warning(text))
     pace = summary.get("real_time_factor")
     if isinstance(pace, dict) and pace["achieved"] < _PACE_KEPT * pace["asked"]:
