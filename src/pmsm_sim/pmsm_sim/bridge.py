@@ -22,6 +22,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from pmsm_sim.machine import flux
 from pwm_node.compiled import kernel
 
@@ -29,6 +31,41 @@ _SQRT3 = math.sqrt(3.0)
 # alpha and beta components of the phase axes a, b, c
 _AXIS_ALPHA = (1.0, -0.5, -0.5)
 _AXIS_BETA = (0.0, 0.5 * _SQRT3, -0.5 * _SQRT3)
+
+# How the three bridge legs are connected
+BRIDGE = np.dtype(
+    [
+        # what clamps a leg that carries positive, and negative current: v = rail u_dc - drop - r i
+        ("rail_p", np.float64, (3,)),
+        ("drop_p", np.float64, (3,)),
+        ("r_p", np.float64, (3,)),
+        ("rail_n", np.float64, (3,)),
+        ("drop_n", np.float64, (3,)),
+        ("r_n", np.float64, (3,)),
+        ("watched", np.int64, (3,)),  # 1: the two differ, so the sign of the current matters
+        ("can_float", np.int64, (3,)),  # 1: there are voltages at which neither conducts
+        ("mode", np.int64, (3,)),  # sign of the current; 0: none flows
+    ],
+    align=True,
+)
+
+# What `solve` finds for one instant
+ELECTRIC = np.dtype(
+    [
+        ("di_d", np.float64),  # derivative of the machine current (A/s)
+        ("di_q", np.float64),
+        ("i_alpha", np.float64),  # stator current in the stationary frame (A)
+        ("i_beta", np.float64),
+        ("e_alpha", np.float64),  # induced voltage (V)
+        ("e_beta", np.float64),
+        ("torque", np.float64),  # electromagnetic (N m)
+        ("v", np.float64, (3,)),  # terminal voltages; against the star point if no leg conducts
+        ("c", np.float64),  # cosine and sine of the electrical angle
+        ("s", np.float64),
+        ("w_m", np.float64),  # electrical speed (rad/s)
+    ],
+    align=True,
+)
 
 NONE_FLOATS = 3
 ALL_FLOAT = -1

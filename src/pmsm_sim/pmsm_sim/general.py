@@ -25,24 +25,19 @@ from pmsm_sim.bridge import (
     solve,
     without_floating,
 )
-from pmsm_sim.ideal import MOST_STEPS
-from pmsm_sim.inverter import leg_gate, remember_gates, switching_instants
-from pmsm_sim.mechanics import cogging, friction, load_torque
-from pmsm_sim.records import FIRST_ENERGY, INTEGRATED, LOAD_KINDS, N_INTEGRATED
+from pmsm_sim.columns import FIRST_ENERGY, N_INTEGRATED, column
+from pmsm_sim.dc_link import begin_dc_link, charge, end_dc_link
+from pmsm_sim.inverter import begin_gates, leg_gate, remember_gates, switching_instants
+from pmsm_sim.machine import cogging
+from pmsm_sim.mechanics import begin_mechanics, end_mechanics, move
+from pmsm_sim.part import MOST_STEPS
+from pmsm_sim.sensors import begin_low_pass, end_low_pass, low_pass, shown
 from pwm_node.compiled import kernel
 
-_I_D, _I_Q = INTEGRATED.index("i_d"), INTEGRATED.index("i_q")
-_W_M, _TURN_M = INTEGRATED.index("w_M"), INTEGRATED.index("turn_M")
-_U_DC = INTEGRATED.index("u_dc")
-_W_L, _TWIST = INTEGRATED.index("w_L"), INTEGRATED.index("twist")
-_BRAKE = INTEGRATED.index("tau_brake")
-_I_F_ALPHA, _I_F_BETA = INTEGRATED.index("i_f_alpha"), INTEGRATED.index("i_f_beta")
-_SUPPLY, _DC = INTEGRATED.index("supply"), INTEGRATED.index("dc")
-_INVERTER, _COPPER = INTEGRATED.index("inverter"), INTEGRATED.index("copper")
-_IRON, _FRICTION = INTEGRATED.index("iron"), INTEGRATED.index("friction")
-_LOAD, _CHOPPER = INTEGRATED.index("load"), INTEGRATED.index("chopper")
-
-_SPEED = LOAD_KINDS.index("speed")
+_I_D, _I_Q = column("i_d"), column("i_q")
+_W_M, _TURN_M = column("w_M"), column("turn_M")
+_U_DC, _DC = column("u_dc"), column("dc")
+_INVERTER, _COPPER, _IRON = column("inverter"), column("copper"), column("iron")
 
 # Rows of the work space: state, state after the step, four derivatives.
 _ROWS = 6
@@ -64,65 +59,20 @@ def _solve_at(par, st, y):
 
 
 @kernel
-def _rectified(par, t):
-    """Voltage behind a three-phase diode bridge (V), six pulses per grid period."""
-    pulse = math.pi / 3.0
-    angle = (par.grid_w * t) % pulse - 0.5 * pulse
-    return par.grid_peak * math.cos(angle)
-
-
-@kernel
 def _derivative(par, st, t, y, dy):
     """Time derivative of all integrated quantities, t (s) after the period began."""
     _solve_at(par, st, y)
     el = st.electric
     dy[_I_D] = el.di_d
     dy[_I_Q] = el.di_q
-    dy[_I_F_ALPHA] = par.filter_rate * (el.i_alpha - y[_I_F_ALPHA])
-    dy[_I_F_BETA] = par.filter_rate * (el.i_beta - y[_I_F_BETA])
+    low_pass(par, y, dy, el.i_alpha, el.i_beta)
     dy[_COPPER] = 1.5 * par.R_s * (el.i_alpha**2 + el.i_beta**2)
     dy[_IRON] = 1.5 * par.iron_conductance * (el.e_alpha**2 + el.e_beta**2)
 
-    # DC link
     i_dc, dy[_INVERTER] = rail_current(st.bridge, el)
-    u_dc = y[_U_DC]
-    dy[_DC] = u_dc * i_dc
-    if par.rectifier:
-        now = st.period * par.T_s + t
-        i_grid = max(0.0, (_rectified(par, now) - u_dc) * par.grid_conductance)
-        i_chopper = u_dc * par.chopper_conductance if st.chopping else 0.0
-        dy[_SUPPLY] = u_dc * i_grid
-        dy[_CHOPPER] = u_dc * i_chopper
-        dy[_U_DC] = (i_grid - i_dc - i_chopper) / par.capacitance
-    else:
-        dy[_SUPPLY] = dy[_DC]
-        dy[_CHOPPER] = 0.0
-        dy[_U_DC] = 0.0
-
-    # mechanics
-    w_M = y[_W_M]
+    charge(par, st.period, t, st.chopping, y, dy, i_dc)
     tau_M = el.torque + cogging(par, st.theta_M + y[_TURN_M])
-    tau_f = friction(par, w_M)
-    dy[_TURN_M] = w_M
-    dy[_FRICTION] = tau_f * w_M
-    dy[_BRAKE] = (par.tau_L - y[_BRAKE]) * par.brake_rate
-    if par.load_kind == _SPEED:
-        dy[_W_M] = 0.0
-        dy[_LOAD] = (tau_M - tau_f) * w_M
-    elif par.shaft:
-        w_L = y[_W_L]
-        slip = w_M - w_L
-        tau_shaft = par.shaft_stiffness * y[_TWIST] + par.shaft_damping * slip
-        tau_L = load_torque(par, st.period, t, w_L, y[_BRAKE])
-        dy[_W_M] = (tau_M - tau_f - tau_shaft) / par.J
-        dy[_W_L] = (tau_shaft - tau_L) / par.J_load
-        dy[_TWIST] = slip
-        dy[_FRICTION] += par.shaft_damping * slip * slip
-        dy[_LOAD] = tau_L * w_L
-    else:
-        tau_L = load_torque(par, st.period, t, w_M, y[_BRAKE])
-        dy[_W_M] = (tau_M - tau_f - tau_L) / par.J
-        dy[_LOAD] = tau_L * w_M
+    move(par, st.period, t, y, dy, tau_M)
 
 
 @kernel
@@ -256,14 +206,11 @@ def _oversample(par, st, work, t_0, t_1, k, i_abc, legs_out):
 @kernel
 def _take_samples(par, st, work, t_0, t_1):
     """Keep what the sensors will report at the start of the next period, if it is their time."""
-    t = par.T_s - par.sampling_lead
+    t = par.T_s - par.lead
     if t_0 <= t < t_1 or (t_1 == par.T_s and t == t_1):
         _look(par, st, work, t_0, t)
-        if par.filter_rate > 0.0:
-            y = work[1] if t > t_0 else work[0]
-            st.i_sampled[0], st.i_sampled[1] = y[_I_F_ALPHA], y[_I_F_BETA]
-        else:
-            st.i_sampled[0], st.i_sampled[1] = st.electric.i_alpha, st.electric.i_beta
+        y, el = work[1] if t > t_0 else work[0], st.electric
+        st.i_sampled[0], st.i_sampled[1] = shown(par, y, el.i_alpha, el.i_beta)
     t = par.T_s - par.encoder_latency
     if t_0 <= t < t_1 or (t_1 == par.T_s and t == t_1):
         _look(par, st, work, t_0, t)
@@ -274,45 +221,24 @@ def _take_samples(par, st, work, t_0, t_1):
 @kernel
 def _begin(par, st, y):
     """State at the start of the period."""
+    fresh = not st.general_before
+    st.general_before = True
     y[_I_D], y[_I_Q] = st.i_d, st.i_q
-    y[_W_M] = par.w_imposed if par.load_kind == _SPEED else st.w_M
-    if not st.general_before:
-        theta_m = par.n_p * st.theta_M
-        c, s = math.cos(theta_m), math.sin(theta_m)
-        st.i_f_alpha = c * st.i_d - s * st.i_q
-        st.i_f_beta = s * st.i_d + c * st.i_q
-        st.u_dc = par.u_dc
-        st.w_L = y[_W_M]
-        st.twist = 0.0
-        st.tau_brake = par.tau_L
-        for x in range(3):
-            st.level[x] = 1 if st.duty[x] == 1.0 else 0
-            st.since[x] = 1.0
-        st.general_before = True
-    if not par.rectifier:
-        st.u_dc = par.u_dc
-    elif st.u_dc >= par.chopper_on:
-        st.chopping = True
-    elif st.u_dc <= par.chopper_off:
-        st.chopping = False
-    if par.brake_rate == 0.0:
-        st.tau_brake = par.tau_L
-    y[_U_DC], y[_W_L], y[_TWIST] = st.u_dc, st.w_L, st.twist
-    y[_BRAKE] = st.tau_brake
-    y[_I_F_ALPHA], y[_I_F_BETA] = st.i_f_alpha, st.i_f_beta
+    theta_m = par.n_p * st.theta_M
+    begin_mechanics(par, st, y, fresh)
+    begin_dc_link(par, st, y, fresh)
+    begin_low_pass(par, st, y, math.cos(theta_m), math.sin(theta_m), fresh)
+    if fresh:
+        begin_gates(st)
 
 
 @kernel
 def _end(par, st, y):
     """State after the period, but for angle and period number."""
-    st.i_d, st.i_q, st.w_M = y[_I_D], y[_I_Q], y[_W_M]
-    st.u_dc, st.w_L, st.twist = y[_U_DC], y[_W_L], y[_TWIST]
-    st.tau_brake = y[_BRAKE]
-    if par.filter_rate > 0.0:
-        st.i_f_alpha, st.i_f_beta = y[_I_F_ALPHA], y[_I_F_BETA]
-    else:
-        # where a low-pass would begin that is switched on later
-        st.i_f_alpha, st.i_f_beta = st.electric.i_alpha, st.electric.i_beta
+    st.i_d, st.i_q = y[_I_D], y[_I_Q]
+    end_mechanics(st, y)
+    end_dc_link(st, y)
+    end_low_pass(par, st, y)
     for n in range(N_INTEGRATED - FIRST_ENERGY):
         st.energy[n] += y[FIRST_ENERGY + n]
     remember_gates(par, st)
@@ -359,7 +285,7 @@ def integrate(par, st, i_abc, legs_out):
             if n_over > 0 and k < n_over and k * par.T_s / n_over < t_next:
                 k = _oversample(par, st, work, t, t_next, k, i_abc, legs_out)
                 looked = True
-            if par.T_s - max(par.sampling_lead, par.encoder_latency) < t_next or t_next == par.T_s:
+            if par.T_s - max(par.lead, par.encoder_latency) < t_next or t_next == par.T_s:
                 _take_samples(par, st, work, t, t_next)
                 looked = True
             if looked:

@@ -16,14 +16,12 @@ from __future__ import annotations
 import math
 
 from pmsm_sim.inverter import leg_voltage, set_pattern
+from pmsm_sim.part import MOST_STEPS
 from pwm_node.compiled import kernel
 
 # Largest electrical angle (rad) that one step may cover: keeps the error of the integration
 # below 1e-9 A per period and the polynomials of `small_rotation` below rounding error.
 MAX_STEP_ANGLE = 0.06
-
-# Of one interval: more is needed only far beyond any drive, and a run must end.
-MOST_STEPS = 2_000
 
 # Up to these lengths of a step (in periods) order 3 and 4 are enough; beyond, it is 5.
 _ORDER_3 = 0.04

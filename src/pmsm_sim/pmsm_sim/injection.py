@@ -9,14 +9,18 @@ process.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmsm_sim.motor import MotorPars
 from pmsm_sim.noise import normal
+from pmsm_sim.part import Part
 from pwm_node.compiled import kernel
 from pwm_node.names import unknown
+from pwm_node.parameters import Parameter
 
 _SENSOR_TYPES = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
 _LINK_TYPES = ("off", "dropped", "garbage", "stuck", "delayed", "intermittent", "reordered")
@@ -83,7 +87,7 @@ INJECTION = np.dtype(
     align=True,
 )
 
-INJECTOR = np.dtype(
+_INJECTOR = np.dtype(
     [
         ("on", np.bool_),  # whether there may be any
         ("n", np.int64),
@@ -103,6 +107,22 @@ INJECTOR = np.dtype(
         ("jammed", np.bool_),
     ],
     align=True,
+)
+
+PARAMETERS = (
+    Parameter(
+        "fault_injection",
+        False,
+        "Whether faults may be injected at all",
+        read_only=True,
+    ),
+    Parameter(
+        "injections",
+        [],
+        "Faults to inject, each 'START DURATION UNIT TYPE [MAGNITUDE [SEED]]', times in "
+        "simulated seconds; more of them by the service ~/inject_fault",
+        read_only=True,
+    ),
 )
 
 _NAMES = tuple(UNITS)
@@ -232,6 +252,33 @@ def described(row: np.void, T_s: float) -> str:
     return f"{text} {row['seed']}" if row["seed"] else text
 
 
+def _check(values: Mapping[str, Any]) -> str | None:
+    injections = values["injections"]
+    if not injections:
+        return None
+    if not values["fault_injection"]:
+        return "'injections' is refused: faults are injected only with 'fault_injection' = true"
+    if values["dc_link.kind"] == "rectifier" and any("dc_link" in text for text in injections):
+        return "'injections': dc_link fails only where 'dc_link.kind' is stiff"
+    try:
+        parse(injections, 1.0 / values["pwm_frequency"])
+    except InjectionError as error:
+        return f"'injections': {error}"
+    return None
+
+
+def _start(par: np.void, st: np.void, values: Mapping[str, Any], motor: MotorPars) -> None:
+    injections = parse(values["injections"], float(par["T_s"]))
+    injector = st["injector"]
+    injector["on"] = values["fault_injection"]
+    injector["n"] = len(injections)
+    injector["list"][: len(injections)] = injections
+    injector["copies"] = 1
+
+
+PART = Part(parameters=PARAMETERS, state=(("injector", _INJECTOR),), check=_check, start=_start)
+
+
 @kernel
 def _random(par, it, period):
     seed = it.seed if it.seed != 0 else par.seed
@@ -287,16 +334,16 @@ def inject_causes(par, st):
         if st.period < it.begin or st.period >= it.end:
             continue
         if it.unit == _DC_LINK:
-            inj.u_dc += _added(par, st, it, 1.0 - par.u_dc_set)
+            inj.u_dc += _added(par, st, it, 1.0 - par.dc_voltage)
         elif it.unit == _LOAD:
             if it.type == _STUCK:
                 inj.jammed = True
             else:
-                inj.tau_L += _added(par, st, it, -par.tau_set)
+                inj.tau_L += _added(par, st, it, -par.load_torque)
         elif it.unit == _TEMPERATURE:
             inj.warmth += _added(par, st, it, 0.0)
-    par.tau_L = par.tau_set + inj.tau_L
-    par.u_dc = max(1.0, par.u_dc_set + inj.u_dc)
+    par.tau_L = par.load_torque + inj.tau_L
+    par.u_dc = max(1.0, par.dc_voltage + inj.u_dc)
     if inj.jammed:
         st.w_M = 0.0
 

@@ -3,13 +3,161 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from pmsm_sim.motor import MotorPars
+from pmsm_sim.part import Part
 from pmsm_sim.protection import COMMAND_LOST, trip
 from pwm_node.compiled import kernel
+from pwm_node.parameters import Parameter
 
 _INV_SQRT3 = 1.0 / math.sqrt(3.0)
+
+PARAMETERS = (
+    Parameter(
+        "inverter.missing_command",
+        "zero",
+        "What the inverter applies in the first period without a command: the zero vector, or "
+        "the command before (hold)",
+        choices=("zero", "hold"),
+    ),
+    Parameter(
+        "inverter.dead_time",
+        0.0,
+        "Time between switching one transistor of a leg off and the other on",
+        unit="s",
+        minimum=0.0,
+        maximum=1e-4,
+    ),
+    Parameter(
+        "inverter.switch_voltage",
+        0.0,
+        "On-state voltage of a transistor, its constant part",
+        unit="V",
+        minimum=0.0,
+        maximum=10.0,
+    ),
+    Parameter(
+        "inverter.switch_resistance",
+        0.0,
+        "On-state resistance of a transistor",
+        unit="ohm",
+        minimum=0.0,
+        maximum=10.0,
+    ),
+    Parameter(
+        "inverter.diode_voltage",
+        0.0,
+        "Forward voltage of a diode, its constant part",
+        unit="V",
+        minimum=0.0,
+        maximum=10.0,
+    ),
+    Parameter(
+        "inverter.diode_resistance",
+        0.0,
+        "Forward resistance of a diode",
+        unit="ohm",
+        minimum=0.0,
+        maximum=10.0,
+    ),
+    Parameter(
+        "inverter.min_pulse",
+        0.0,
+        "Pulses shorter than this are left out",
+        unit="s",
+        minimum=0.0,
+        maximum=1e-4,
+    ),
+    Parameter(
+        "inverter.timer_clock",
+        0.0,
+        "Clock of the PWM timer, which rounds duties to its counts; 0: no rounding",
+        unit="Hz",
+        minimum=0.0,
+        maximum=1e10,
+    ),
+)
+
+PAR = (
+    ("hold", np.bool_),  # whether the first missing command is replaced by the one before
+    ("modulator", np.bool_),  # duties are not applied as they come
+    ("timer_counts", np.float64),  # of the PWM timer from 0 to its peak; 0: no quantisation
+    ("min_pulse", np.float64),  # shorter pulses are left out (s)
+    ("dead_time", np.float64),  # (s)
+    ("switch_voltage", np.float64),  # on-state: constant part (V), resistance (ohm)
+    ("switch_resistance", np.float64),
+    ("diode_voltage", np.float64),
+    ("diode_resistance", np.float64),
+)
+
+STATE = (
+    # what it applies in the period that begins now
+    ("duty", np.float64, (3,)),
+    ("enable", np.bool_),
+    ("latched", np.bool_),  # a command for this period is there
+    # commands that were not there in time, and those refused
+    ("armed", np.bool_),  # a command has been accepted: from now on one has to be there
+    ("missing_in_row", np.int64),
+    ("missed", np.uint64),  # since the start
+    ("refused", np.uint64),  # since the start
+    ("gates_on", np.bool_),  # whether the gates are driven in this period
+    # the period's switching pattern: seven intervals of constant leg states
+    ("t_switch", np.float64, (8,)),  # their limits (s from the start of the period)
+    ("legs", np.int64, (7,)),  # bit 0, 1, 2: upper switch of leg a, b, c
+    ("level", np.int64, (3,)),  # what leg x was told last: 1 high, 0 low
+    ("since", np.float64, (3,)),  # how long ago that changed (s)
+)
+
+
+def _check(values: Mapping[str, Any]) -> str | None:
+    T_s = 1.0 / values["pwm_frequency"]
+    for name in ("inverter.dead_time", "inverter.min_pulse"):
+        if values[name] >= 0.5 * T_s:
+            return (
+                f"'{name}' = {values[name]:g} is out of range: it must be shorter than half a "
+                f"PWM period, 0 to {0.5 * T_s:g} s"
+            )
+    clock = values["inverter.timer_clock"]
+    if 0.0 < clock < 8.0 / T_s:
+        return (
+            f"'inverter.timer_clock' = {clock:g} is out of range: 0 (no rounding), or at least "
+            f"{8.0 / T_s:g} Hz, for 4 counts up and 4 down in a PWM period"
+        )
+    return None
+
+
+def _start(par: np.void, st: np.void, values: Mapping[str, Any], motor: MotorPars) -> None:
+    # until the first command comes: the zero vector
+    st["duty"] = 0.5
+    st["enable"] = True
+
+
+def _configure(par: np.void, st: np.void, values: Mapping[str, Any], motor: MotorPars) -> None:
+    par["hold"] = values["inverter.missing_command"] == "hold"
+    # the timer counts up and down once in a period
+    counts = 0.5 * values["inverter.timer_clock"] * par["T_s"]
+    par["timer_counts"] = max(1.0, round(counts)) if counts > 0.0 else 0.0
+    par["modulator"] = counts > 0.0 or values["inverter.min_pulse"] > 0.0
+
+
+def _general(par: np.void) -> bool:
+    drops = ("switch_voltage", "switch_resistance", "diode_voltage", "diode_resistance")
+    return bool(par["dead_time"] > 0.0 or any(par[name] for name in drops))
+
+
+PART = Part(
+    parameters=PARAMETERS,
+    par=PAR,
+    state=STATE,
+    check=_check,
+    start=_start,
+    configure=_configure,
+    general=_general,
+)
 
 
 @kernel
@@ -134,6 +282,14 @@ def leg_gate(par, st, x, t):
     if t - began < par.dead_time:
         return 0
     return 1 if level == 1 else -1
+
+
+@kernel
+def begin_gates(st):
+    """Each leg has been told what it is told now for long."""
+    for x in range(3):
+        st.level[x] = 1 if st.duty[x] == 1.0 else 0
+        st.since[x] = 1.0
 
 
 @kernel

@@ -21,25 +21,161 @@ Torque is the derivative of the co-energy with respect to the angle:
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
+from pmsm_sim import flux_map
+from pmsm_sim.flux_map import co_energy
+from pmsm_sim.motor import MotorPars
+from pmsm_sim.part import MOST_STEPS, Part
 from pwm_node.compiled import kernel
+from pwm_node.parameters import Parameter
 
-# Polynomials of the quintic B-spline with unit knots: row j, power k, of the j-th of the six basis
-# functions that are not zero in a cell, over the place u in 0..1 in it.
-_QUINTIC = (
-    np.array(
-        [
-            [1, -5, 10, -10, 5, -1],
-            [26, -50, 20, 20, -20, 5],
-            [66, 0, -60, 0, 30, -10],
-            [26, 50, 20, -20, -20, 10],
-            [1, 5, 10, 10, 5, -5],
-            [0, 0, 0, 0, 0, 1],
-        ],
-        dtype=np.float64,
+# Harmonics of the magnets' flux
+_HARMONICS = (5, 7, 11, 13)
+
+PARAMETERS = (
+    Parameter(
+        "machine.flux_map",
+        "",
+        "Saturation: a name of config/flux_maps or the path of a file; empty: linear machine",
+        read_only=True,
+    ),
+    Parameter(
+        "machine.iron_loss_resistance",
+        0.0,
+        "Resistance across the induced voltage that stands for the iron loss; 0: no iron loss",
+        unit="ohm",
+        minimum=0.0,
+        maximum=1e7,
+    ),
+    *(
+        Parameter(
+            f"machine.emf_{n}",
+            0.0,
+            f"{n}th harmonic of the back-EMF over its fundamental",
+            minimum=-0.5,
+            maximum=0.5,
+        )
+        for n in _HARMONICS
+    ),
+    Parameter(
+        "machine.cogging_torque",
+        0.0,
+        "Amplitude of the cogging torque",
+        unit="N m",
+        minimum=0.0,
+        maximum=1e3,
+    ),
+    Parameter(
+        "machine.cogging_periods",
+        24,
+        "Periods of the cogging torque per turn",
+        minimum=1,
+        maximum=1_000,
+    ),
+    Parameter(
+        "drift.resistance",
+        1.0,
+        "Stator resistance over that of the motor file",
+        minimum=0.01,
+        maximum=100.0,
+        also=(
+            "drift.R",
+            "drift.R_s",
+        ),
+    ),
+    Parameter(
+        "drift.flux",
+        1.0,
+        "Magnet flux over that of the motor file or flux map",
+        minimum=0.0,
+        maximum=10.0,
+        also=(
+            "drift.psi",
+            "drift.psi_f",
+        ),
+    ),
+)
+
+PAR = (
+    # as it is now, temperature and drift included
+    ("R_s", np.float64),  # stator resistance (ohm)
+    ("L_d", np.float64),  # d- and q-axis inductance (H)
+    ("L_q", np.float64),
+    ("psi_f", np.float64),  # permanent-magnet flux linkage (V s)
+    ("n_p", np.float64),  # number of pole pairs; whole, kept as float for the arithmetic
+    # at 20 degC, drift included
+    ("R_20", np.float64),  # (ohm)
+    ("psi_20", np.float64),  # (V s)
+    ("psi_map", np.float64),  # flux of the magnets that the map contains (V s)
+    ("iron_conductance", np.float64),  # across the induced voltage (S); 0: no iron loss
+    ("iron_floating", np.float64),  # the same for legs without current (see `bridge.solve`)
+    ("psi_h", np.float64, (4,)),  # 5th, 7th, 11th, 13th harmonic of the magnet flux (V s)
+    ("harmonics", np.bool_),  # whether there are any
+    ("cogging_torque", np.float64),  # (N m)
+    ("cogging_periods", np.float64),  # per turn
+    ("saturates", np.bool_),  # the flux linkage comes from the map
+    ("psi_shift", np.float64),  # flux of the magnets above that of the map (V s)
+    ("map", flux_map.MAP),
+)
+
+STATE = (
+    ("i_d", np.float64),  # current in the rotor frame (A)
+    ("i_q", np.float64),
+)
+
+
+def _start(par: np.void, st: np.void, values: Mapping[str, Any], motor: MotorPars) -> None:
+    for name in ("L_d", "L_q", "n_p"):
+        par[name] = getattr(motor, name)
+    name = values["machine.flux_map"]
+    par["saturates"] = bool(name)
+    par["psi_map"] = motor.psi_f
+    if name:
+        found = flux_map.load(name)
+        par["map"] = found.map_[0]
+        par["psi_map"] = found.psi_f
+
+
+def _configure(par: np.void, st: np.void, values: Mapping[str, Any], motor: MotorPars) -> None:
+    par["R_20"] = motor.R_s * values["drift.resistance"]
+    par["psi_20"] = par["psi_map"] * values["drift.flux"]
+    ratios = [values[f"machine.emf_{n}"] for n in _HARMONICS]
+    par["psi_h"] = [r * par["psi_20"] / n for r, n in zip(ratios, _HARMONICS, strict=True)]
+    par["harmonics"] = any(ratios)
+    R_iron = values["machine.iron_loss_resistance"]
+    par["iron_conductance"] = 1.0 / R_iron if R_iron > 0.0 else 0.0
+    shortest = par["T_s"] / MOST_STEPS
+    smallest = 2.0 * shortest / min(par["L_d"], par["L_q"])
+    par["iron_floating"] = max(par["iron_conductance"], smallest)
+
+
+def _general(par: np.void) -> bool:
+    return bool(
+        par["iron_conductance"] > 0.0
+        or par["harmonics"]
+        or par["cogging_torque"] != 0.0
+        or par["saturates"]
     )
-    / 120.0
+
+
+def _rates(par: np.void) -> list[float]:
+    R = par["R_s"] + max(par["switch_resistance"], par["diode_resistance"])
+    return [R / min(par["L_d"], par["L_q"])]
+
+
+PART = Part(
+    parameters=PARAMETERS,
+    par=PAR,
+    state=STATE,
+    start=_start,
+    configure=_configure,
+    general=_general,
+    rates=_rates,
 )
 
 
@@ -50,69 +186,11 @@ def torque(par, i_d, i_q):
 
 
 @kernel
-def _basis(u, j):
-    """Basis function j at u: its value, first and second derivative."""
-    p = _QUINTIC[j]
-    value = p[0] + u * (p[1] + u * (p[2] + u * (p[3] + u * (p[4] + u * p[5]))))
-    first = p[1] + u * (2.0 * p[2] + u * (3.0 * p[3] + u * (4.0 * p[4] + u * 5.0 * p[5])))
-    second = 2.0 * p[2] + u * (6.0 * p[3] + u * (12.0 * p[4] + u * 20.0 * p[5]))
-    return value, first, second
-
-
-@kernel
-def _cell(par, axis, i):
-    """Cell of the map and place in it, and by how much (A) the current lies outside the map."""
-    x = (i - par.map_start[axis]) * par.map_rate[axis]
-    last = par.map_cells[axis]
-    inside = min(max(x, 0.0), float(last))
-    cell = min(int(inside), last - 1)
-    return cell, inside - cell, (x - inside) / par.map_rate[axis]
-
-
-@kernel
-def co_energy(par, i_d, i_q):
-    """Co-energy of the flux map and its derivatives (W', psi_d, psi_q, L_dd, L_dq, L_qq).
-
-    Outside the map its border goes on with constant incremental inductances.
-    """
-    cell_d, u_d, over_d = _cell(par, 0, i_d)
-    cell_q, u_q, over_q = _cell(par, 1, i_q)
-    basis_q = (
-        _basis(u_q, 0),
-        _basis(u_q, 1),
-        _basis(u_q, 2),
-        _basis(u_q, 3),
-        _basis(u_q, 4),
-        _basis(u_q, 5),
-    )
-    W = psi_d = psi_q = L_dd = L_dq = L_qq = 0.0
-    for j in range(6):
-        row = row_1 = row_2 = 0.0
-        for k in range(6):
-            a = par.map[cell_d + j, cell_q + k]
-            b_0, b_1, b_2 = basis_q[k]
-            row += a * b_0
-            row_1 += a * b_1
-            row_2 += a * b_2
-        b_0, b_1, b_2 = _basis(u_d, j)
-        W += b_0 * row
-        psi_d += b_1 * row
-        psi_q += b_0 * row_1
-        L_dd += b_2 * row
-        L_dq += b_1 * row_1
-        L_qq += b_0 * row_2
-    rate_d, rate_q = par.map_rate[0], par.map_rate[1]
-    psi_d *= rate_d
-    psi_q *= rate_q
-    L_dd *= rate_d * rate_d
-    L_dq *= rate_d * rate_q
-    L_qq *= rate_q * rate_q
-    if over_d != 0.0 or over_q != 0.0:
-        W += psi_d * over_d + psi_q * over_q
-        W += 0.5 * (L_dd * over_d**2 + L_qq * over_q**2) + L_dq * over_d * over_q
-        psi_d += L_dd * over_d + L_dq * over_q
-        psi_q += L_dq * over_d + L_qq * over_q
-    return W, psi_d, psi_q, L_dd, L_dq, L_qq
+def cogging(par, theta_M):
+    """Cogging torque (N m): -tau sin(N theta_M), N periods per turn."""
+    if par.cogging_torque == 0.0:
+        return 0.0
+    return -par.cogging_torque * math.sin(par.cogging_periods * theta_M)
 
 
 @kernel
@@ -133,7 +211,7 @@ def flux(par, i_d, i_q, c, s):
     L_dd, L_dq, L_qq : incremental inductances (H)
     """
     if par.saturates:
-        _, psi_d, psi_q, L_dd, L_dq, L_qq = co_energy(par, i_d, i_q)
+        _, psi_d, psi_q, L_dd, L_dq, L_qq = co_energy(par.map, i_d, i_q)
         psi_d += par.psi_shift
     else:
         psi_d, psi_q = par.psi_f + par.L_d * i_d, par.L_q * i_q

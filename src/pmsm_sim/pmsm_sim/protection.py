@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pmsm_sim.motor import MotorPars
+from pmsm_sim.part import Part
 from pwm_node import faults
 from pwm_node.compiled import kernel
 from pwm_node.faults import REACT, Fault, Faults
@@ -107,22 +108,21 @@ DC_OVERVOLTAGE = FAULTS.number("DC_OVERVOLTAGE")
 DC_UNDERVOLTAGE = FAULTS.number("DC_UNDERVOLTAGE")
 OVERTEMPERATURE = FAULTS.number("OVERTEMPERATURE")
 
-PAR_FIELDS = [
+PAR = (
     ("react", np.bool_),  # whether a fault blocks the gates
     ("limit", np.float64, (len(FAULTS.rows),)),  # of the quantity that each fault looks at
     ("hot", np.float64),  # temperature from which less current is allowed (degC)
-]
+)
 
-STATE_FIELDS = [
+STATE = (
     ("latch", FAULTS.latch),
     ("blocked", np.bool_),  # gates off because nobody wants them to be driven
     ("awaits_off", np.bool_),  # and until a command has had them off after that or a trip
     ("derating", np.float64),  # share of the current limit that the temperature allows
-]
+)
 
 
-def check(values: Mapping[str, Any]) -> str | None:
-    """Reason for refusing the values together, or None."""
+def _check(values: Mapping[str, Any]) -> str | None:
     hot, limit = values["fault.derating_temperature"], values["fault.overtemperature"]
     if hot > limit:
         return (
@@ -132,16 +132,17 @@ def check(values: Mapping[str, Any]) -> str | None:
     return None
 
 
-def configure(par: np.void, values: Mapping[str, Any], motor: MotorPars) -> None:
-    """Take over the limits, from the motor file and the parameters."""
+def _configure(par: np.void, st: np.void, values: Mapping[str, Any], motor: MotorPars) -> None:
     limit = par["limit"]
-    par["react"] = values["fault.react"]
     limit[COMMAND_LOST] = values["inverter.command_loss_limit"]
     limit[OVERCURRENT] = values["fault.overcurrent"] * motor.i_max
     limit[DC_OVERVOLTAGE] = values["fault.dc_overvoltage"] * motor.u_dc
     limit[DC_UNDERVOLTAGE] = values["fault.dc_undervoltage"] * motor.u_dc
     limit[OVERTEMPERATURE] = values["fault.overtemperature"]
     par["hot"] = values["fault.derating_temperature"]
+
+
+PART = Part(parameters=PARAMETERS, par=PAR, state=STATE, check=_check, configure=_configure)
 
 
 @kernel

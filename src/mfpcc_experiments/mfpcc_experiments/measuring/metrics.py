@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 from mfpcc_experiments.measuring import happened
 from mfpcc_experiments.notes import Note, failure, info, warning
 from pmsm_sim.parameters import TABLE as PLANT
-from pmsm_sim.plant import REFERENCE_TEMPERATURE
+from pmsm_sim.thermal import REFERENCE_TEMPERATURE
 from pwm_node.errors import ForPeople
 
 if TYPE_CHECKING:
