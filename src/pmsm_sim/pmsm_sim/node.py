@@ -29,6 +29,7 @@ from pwm_node.diagnostics import Level, Part
 from pwm_node.node import PwmNode
 from pwm_node.status import StatusPublisher
 from pwm_node.stops import Stops
+from pwm_node.units import RPM
 from pwm_node.wire import Wire, WireError
 
 _LOOK_EVERY = 0.01  # s
@@ -363,7 +364,7 @@ class PmsmSim(PwmNode):
                 "missed commands": int(st["missed"]),
                 "refused commands": int(st["refused"]),
                 "periods left out (wall clock)": self._overruns,
-                "speed (r/min)": float(st["w_M"]) * 30.0 / 3.141592653589793,
+                "speed (r/min)": float(st["w_M"]) / RPM,
                 "load torque (N m)": self.values["load_torque"],
             },
         )

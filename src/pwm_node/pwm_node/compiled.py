@@ -38,6 +38,10 @@ _KEEP_SECONDS = 7 * 24 * 3600
 # Their functions are part of the compiler's version, not of our source.
 _FOREIGN = {"numpy", "numba", "math", "cmath", "builtins", "operator"}
 
+_LOAD_GLOBAL, _EXTENDED_ARG = dis.opmap["LOAD_GLOBAL"], dis.opmap["EXTENDED_ARG"]
+# Since Python 3.11 the lowest bit of its argument is not part of the name's number.
+_NAME_SHIFT = 1 if sys.version_info >= (3, 11) else 0
+
 
 class KernelError(TypeError):
     """A function that cannot be made a kernel."""
@@ -220,7 +224,17 @@ def _references(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _global_names(code: types.CodeType) -> set[str]:
-    found = {item.argval for item in dis.get_instructions(code) if item.opname == "LOAD_GLOBAL"}
+    """Return the names that a function loads from its module.
+
+    `dis` would say the same, and take a tenth of the start of a process for it.
+    """
+    found = set()
+    extended = 0
+    for operation, low in zip(code.co_code[::2], code.co_code[1::2], strict=True):
+        argument = extended | low
+        extended = argument << 8 if operation == _EXTENDED_ARG else 0
+        if operation == _LOAD_GLOBAL:
+            found.add(code.co_names[argument >> _NAME_SHIFT])
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
             found |= _global_names(constant)

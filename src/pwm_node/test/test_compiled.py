@@ -1,5 +1,6 @@
 """Kernels are compiled once, and again when anything they are made of changes."""
 
+import dis
 import os
 import subprocess
 import sys
@@ -109,3 +110,28 @@ def test_a_kernel_called_directly_gives_the_same():
     record = np.zeros(1, dtype)
     assert add_directly(record, 2.0) == 2.0
     assert add(record, 3.0) == record["x"][0] == 5.0
+
+
+def test_finds_the_names_that_the_disassembler_finds():
+    """Also beyond 256 names, where the arguments of the byte code are longer than a byte."""
+    from pwm_node.compiled import _global_names
+
+    names = [f"name_{n}" for n in range(700)]
+    source = "def many(record):\n" + "".join(f"    record.{name} = {name}.x\n" for name in names)
+    space = {}
+    exec(source, space)
+    found = {
+        instruction.argval
+        for instruction in dis.get_instructions(space["many"])
+        if instruction.opname == "LOAD_GLOBAL"
+    }
+    assert found == set(names)
+    assert _global_names(space["many"].__code__) == found
+    assert _global_names(_nested.__code__) == {"np", "OUTER"}
+
+
+OUTER = 1.0
+
+
+def _nested(x):
+    return [np.add(x, y + OUTER) for y in x]
