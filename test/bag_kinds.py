@@ -11,7 +11,8 @@ import yaml
 import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 
-from mfpcc_experiments.bags import bag
+from mfpcc_experiments.bags import LOOP_TOPICS
+from mfpcc_experiments.bags.definitions import message_definition
 
 Message = tuple[str, int, bytes]
 
@@ -92,11 +93,11 @@ def _mcap(
         )
         writer.start(profile="ros2")
         channels: dict[str, int] = {}
-        names = list(bag.LOOP_TOPICS)
+        names = list(LOOP_TOPICS)
         for topic in names[part % 4 :] + names[: part % 4]:  # other ids in each part
-            type_name = bag.LOOP_TOPICS[topic]
+            type_name = LOOP_TOPICS[topic]
             schema = writer.register_schema(
-                type_name, kind.definitions, bag.message_definition(type_name).encode()
+                type_name, kind.definitions, message_definition(type_name).encode()
             )
             channels[topic] = writer.register_channel(kind.namespace + topic, "cdr", schema)
         for topic, time, data in messages:
@@ -127,11 +128,11 @@ def _sqlite(path: Path, messages: list[Message], kind: Kind) -> None:
         """
     )
     numbers = {}
-    for n, (topic, type_name) in enumerate(bag.LOOP_TOPICS.items(), start=1):
+    for n, (topic, type_name) in enumerate(LOOP_TOPICS.items(), start=1):
         numbers[topic] = n
         row = (n, kind.namespace + topic, type_name, "cdr", "", "")
         base.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)", row)
-        text = bag.message_definition(type_name)
+        text = message_definition(type_name)
         row = (n, type_name, kind.definitions, text, "")
         base.execute("INSERT INTO message_definitions VALUES (?, ?, ?, ?, ?)", row)
     base.executemany(
@@ -162,7 +163,7 @@ def _metadata(folder: Path, files: list[str], parts: list[list[Message]], kind: 
                 },
                 "message_count": sum(1 for name, _, _ in messages if name == topic),
             }
-            for topic, type_name in bag.LOOP_TOPICS.items()
+            for topic, type_name in LOOP_TOPICS.items()
         ],
         "compression_format": "" if kind.packed == "none" else "zstd",
         "compression_mode": "" if kind.packed == "none" else kind.packed.upper(),

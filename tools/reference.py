@@ -31,8 +31,7 @@ from mfpcc_controller import protection as controller_protection
 from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.bags import recording
-from mfpcc_experiments.bags.bag import BagWriter
+from mfpcc_experiments.bags import BagWriter, recording
 from mfpcc_experiments.cli import cli
 from mfpcc_experiments.graph.black_box import DIRECTORY, PARAMETER, BlackBoxNode
 from mfpcc_experiments.graph.recorder import Recorder

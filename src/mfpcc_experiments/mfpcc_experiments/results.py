@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfpcc_experiments.bags import Recording
 from mfpcc_experiments.bags import recording as bags
-from mfpcc_experiments.bags.recording import Recording
 from mfpcc_experiments.files import result_folder
 from mfpcc_experiments.measuring import metrics
 from mfpcc_experiments.measuring.columns import columns

@@ -26,7 +26,7 @@ def write_bag() -> Callable[..., Path]:
         source: Iterator[Message] | None = None,
         **options: object,
     ) -> Path:
-        from mfpcc_experiments.bags.bag import BagWriter
+        from mfpcc_experiments.bags import BagWriter
 
         if source is None:
             source = messages(periods, oversampling=oversampling)

@@ -16,9 +16,11 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mfpcc_experiments.bags import bag, recording, recover
+from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, recover
+from mfpcc_experiments.bags.definitions import message_definition
+from mfpcc_experiments.bags.sink import McapSink
 
-TOPICS = {"/" + name: type_name for name, type_name in bag.LOOP_TOPICS.items()}
+TOPICS = {"/" + name: type_name for name, type_name in LOOP_TOPICS.items()}
 
 
 def test_rosbags_reads_it_with_the_types_stored_inside(make_bag):
@@ -80,19 +82,19 @@ def test_metadata_is_that_of_rosbag2(make_bag):
 
 
 def test_definitions_contain_what_they_use():
-    text = bag.message_definition("mfpcc_msgs/msg/DriveStatus")
+    text = message_definition("mfpcc_msgs/msg/DriveStatus")
     assert text.count("=" * 80) == 2
     assert "MSG: mfpcc_msgs/DriveFault\n" in text
     assert "MSG: builtin_interfaces/Time\n" in text and "int32 sec" in text
 
 
 def test_namespace_and_other_topics(tmp_path, drive_messages):
-    with bag.BagWriter(tmp_path / "b", config={}, namespace="axis1") as writer:
+    with BagWriter(tmp_path / "b", config={}, namespace="axis1") as writer:
         writer.add_topic("/clock", "builtin_interfaces/msg/Time")
         for message in drive_messages(3):
             writer.write(*message)
         writer.write("/clock", 0, b"\0\1\0\0" + bytes(8))
-        with pytest.raises(bag.BagError, match="'rubbish' was not announced"):
+        with pytest.raises(BagError, match="'rubbish' was not announced"):
             writer.write("rubbish", 0, b"")
     with Reader(tmp_path / "b") as reader:
         assert {c.topic for c in reader.connections} >= {"/clock", "/axis1/drive_state"}
@@ -108,22 +110,22 @@ def test_the_same_messages_give_the_same_file(make_bag):
 
 def test_nothing_is_overwritten(make_bag, tmp_path):
     path = make_bag(periods=5)
-    with pytest.raises(bag.BagError, match="nothing is overwritten without --force"):
+    with pytest.raises(BagError, match="nothing is overwritten without --force"):
         make_bag(periods=5)
     make_bag(periods=7, force=True)
     assert len(recording.read(path).feedback) == 7
     (path / "thesis.tex").write_text("precious")
-    with pytest.raises(bag.BagError, match=r"'thesis\.tex'"):
+    with pytest.raises(BagError, match=r"'thesis\.tex'"):
         make_bag(periods=5, force=True)
     assert (path / "thesis.tex").exists()
     (tmp_path / "file").write_text("")
-    with pytest.raises(bag.BagError, match="is a file"):
+    with pytest.raises(BagError, match="is a file"):
         make_bag("file", periods=5, force=True)
 
 
 def test_an_exception_in_the_run_leaves_a_valid_bag(tmp_path, drive_messages):
     def run() -> None:
-        with bag.BagWriter(tmp_path / "b", config={}) as writer:
+        with BagWriter(tmp_path / "b", config={}) as writer:
             for message in drive_messages(100):
                 writer.write(*message)
             raise ArithmeticError("the scheme diverged")
@@ -140,7 +142,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 import synthetic_drive
-from mfpcc_experiments.bags.bag import BagError, BagWriter
+from mfpcc_experiments.bags import BagError, BagWriter
 bag = BagWriter(Path(sys.argv[2]), config=synthetic_drive.CONFIG, oversampling=4)
 try:
     for n, message in enumerate(synthetic_drive.messages(10**6, oversampling=4)):
@@ -169,7 +171,7 @@ def test_a_killed_writer_loses_at_most_200_ms(tmp_path):
                 process.send_signal(signal.SIGKILL)
                 break
     assert not (path / "metadata.yaml").exists()
-    with pytest.raises(bag.BagError, match=f"'mfpcc recover .*{path.name}"):
+    with pytest.raises(BagError, match=f"'mfpcc recover .*{path.name}"):
         recording.read(path)
     assert "saved" in recover.recover(path)
     found = recording.read(path)
@@ -204,7 +206,7 @@ def test_a_full_disk_ends_with_a_clear_message_and_a_valid_bag(tmp_path):
 
 
 def test_room_for_the_end_is_made_on_a_full_disk(tmp_path, drive_messages, monkeypatch):
-    real = bag.McapSink.finish
+    real = McapSink.finish
     calls = []
 
     def finish(sink):
@@ -213,11 +215,11 @@ def test_room_for_the_end_is_made_on_a_full_disk(tmp_path, drive_messages, monke
             raise OSError(28, os.strerror(28))
         real(sink)
 
-    monkeypatch.setattr(bag.McapSink, "finish", finish)
-    writer = bag.BagWriter(tmp_path / "b", config={})
+    monkeypatch.setattr(McapSink, "finish", finish)
+    writer = BagWriter(tmp_path / "b", config={})
     for message in drive_messages(3000):
         writer.write(*message)
-    with pytest.raises(bag.BagError, match="no space left for the end"):
+    with pytest.raises(BagError, match="no space left for the end"):
         writer.close()
     assert calls == [7, 6, 5]
     assert len(recording.read(tmp_path / "b").feedback) == 2500

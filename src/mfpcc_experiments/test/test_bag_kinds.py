@@ -19,13 +19,15 @@ from rosbags.rosbag2 import Reader
 from synthetic_drive import CONFIG, messages
 
 from mfpcc_experiments import cli, notes
-from mfpcc_experiments.bags import bag, bag_parts, recording
+from mfpcc_experiments.bags import BagError, BagWriter, bag_parts, recording
+from mfpcc_experiments.bags.mcap_format import MAGIC
+from mfpcc_experiments.bags.provenance import CONFIG_RECORD, json_record
 from mfpcc_experiments.notes import Severity
 
 ARRAYS = ("feedback", "command", "lut", "state", "scheme", "i_abc_oversampled", "legs_oversampled")
 PERIODS = 60
 MESSAGES = list(messages(PERIODS, oversampling=2))
-METADATA = {bag.CONFIG_RECORD: bag.json_record(CONFIG | {"window_s": [0.001, 0.005]})}
+METADATA = {CONFIG_RECORD: json_record(CONFIG | {"window_s": [0.001, 0.005]})}
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +147,7 @@ def test_two_drives_at_once_are_refused(tmp_path: Path) -> None:
     one = [(t, start - 398_000_000 + at, d) for t, at, d in messages(80, first=4000)]
     other = [(t, start + at + 10, d) for t, at, d in messages(80, first=20)]
     path = bag_kinds.write(tmp_path / "bag", [sorted(one + other, key=lambda m: m[1])], Kind())
-    with pytest.raises(bag.BagError, match="several drives were recorded at the same time"):
+    with pytest.raises(BagError, match="several drives were recorded at the same time"):
         recording.read(path)
 
 
@@ -163,7 +165,7 @@ def test_the_same_period_with_other_contents_is_refused(tmp_path: Path) -> None:
     topic, time, data = MESSAGES[40]
     other = (topic, time, data[:-1] + bytes([data[-1] ^ 1]))
     path = bag_kinds.write(tmp_path / "b", [[*MESSAGES, other]], Kind(), METADATA)
-    with pytest.raises(bag.BagError, match="phase_feedback holds period 10 more than once"):
+    with pytest.raises(BagError, match="phase_feedback holds period 10 more than once"):
         recording.read(path)
 
 
@@ -199,7 +201,7 @@ def test_a_stray_file_is_left_out_and_told(
 
 def test_a_missing_part_is_named(split: Path) -> None:
     (split / "run_1.5_4.mcap").unlink()
-    with pytest.raises(bag.BagError, match=r"'run_1\.5_4\.mcap', a part of the bag .* is missing"):
+    with pytest.raises(BagError, match=r"'run_1\.5_4\.mcap', a part of the bag .* is missing"):
         recording.read(split)
 
 
@@ -207,7 +209,7 @@ def test_an_empty_part(tmp_path: Path, expected: recording.Recording) -> None:
     path = bag_kinds.write(tmp_path / "b", [MESSAGES, []], Kind(), METADATA)
     same(recording.read(path), expected)
     (path / "run_1.mcap").write_bytes(b"")
-    with pytest.raises(bag.BagError, match=r"run_1\.mcap: the file is empty"):
+    with pytest.raises(BagError, match=r"run_1\.mcap: the file is empty"):
         recording.read(path)
 
 
@@ -248,7 +250,7 @@ def test_a_chunk_that_is_not_there_is_seen_by_the_summary(tmp_path: Path) -> Non
     path = bag_kinds.write(tmp_path / "b", [MESSAGES], Kind(listed="missing", crcs=False), METADATA)
     (file,) = path.iterdir()
     data = file.read_bytes()
-    at, chunks = len(bag.MAGIC), []
+    at, chunks = len(MAGIC), []
     while data[at] != 0x0F:
         end = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
         chunks.append((data[at], at, end))
@@ -261,11 +263,11 @@ def test_a_chunk_that_is_not_there_is_seen_by_the_summary(tmp_path: Path) -> Non
 
 
 def test_parts_of_different_recordings(tmp_path: Path) -> None:
-    other = {bag.CONFIG_RECORD: bag.json_record(CONFIG | {"n_p": 5})}
+    other = {CONFIG_RECORD: json_record(CONFIG | {"n_p": 5})}
     one = bag_kinds.write(tmp_path / "one", [MESSAGES[:80]], Kind(listed="missing"), METADATA)
     two = bag_kinds.write(tmp_path / "two", [MESSAGES[80:]], Kind(listed="missing"), other)
     shutil.copy(two / "run_0.mcap", one / "run_1.mcap")
-    with pytest.raises(bag.BagError, match="parts of different recordings"):
+    with pytest.raises(BagError, match="parts of different recordings"):
         recording.read(one)
 
 
@@ -274,7 +276,7 @@ def test_a_name_that_is_no_text(tmp_path: Path, expected: recording.Recording) -
     bag_kinds.write(folder, [MESSAGES], Kind(), METADATA)
     same(recording.read(folder), expected)
     next(folder.glob("*.mcap")).write_bytes(b"")
-    with pytest.raises(bag.BagError) as caught:
+    with pytest.raises(BagError) as caught:
         recording.read(folder)
     assert str(caught.value).isprintable() and r"b\xff\n" in str(caught.value)
 
@@ -283,7 +285,7 @@ def test_links(split: Path, expected: recording.Recording, tmp_path: Path) -> No
     (tmp_path / "link").symlink_to(split)
     same(recording.read(tmp_path / "link"), expected)
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    with pytest.raises(bag.BagError, match="loop"):
+    with pytest.raises(BagError, match="loop"):
         recording.read(tmp_path / "loop")
 
 
@@ -304,7 +306,7 @@ def test_cut_at_every_byte_of_the_tail(
         1,
     ]:
         file.write_bytes(data[:length])
-        with pytest.raises(bag.BagError):
+        with pytest.raises(BagError):
             recording.read(path)
     file.write_bytes(data)
     same(recording.read(path), expected)
@@ -313,15 +315,15 @@ def test_cut_at_every_byte_of_the_tail(
 def test_a_database_with_open_changes(tmp_path: Path) -> None:
     path = bag_kinds.write(tmp_path / "b", [MESSAGES], Kind(storage="sqlite3"))
     (path / "run_0.db3-wal").write_bytes(b"x")
-    with pytest.raises(bag.BagError, match=r"not finished, in run_0\.db3-wal"):
+    with pytest.raises(BagError, match=r"not finished, in run_0\.db3-wal"):
         recording.read(path)
 
 
 def test_a_bag_that_is_being_written(tmp_path: Path) -> None:
-    with bag.BagWriter(tmp_path / "live", config=CONFIG) as writer:
+    with BagWriter(tmp_path / "live", config=CONFIG) as writer:
         for message in MESSAGES:
             writer.write(*message)
-        with pytest.raises(bag.BagError, match="is being written at this moment"):
+        with pytest.raises(BagError, match="is being written at this moment"):
             recording.read(tmp_path / "live")
     assert len(recording.read(tmp_path / "live").feedback) == PERIODS
 

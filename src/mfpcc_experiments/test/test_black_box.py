@@ -13,7 +13,8 @@ import yaml
 from mfpcc_msgs.msg import DriveFault, DriveStatus
 from rclpy.serialization import serialize_message
 
-from mfpcc_experiments.bags import bag, recording
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.bags.sink import McapSink
 from mfpcc_experiments.graph.black_box import KEPT, LIST, PAGE, Archive, BlackBox
 
 
@@ -170,7 +171,7 @@ def test_a_full_disk_leaves_nothing_behind(drive: Drive, monkeypatch: pytest.Mon
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(bag.McapSink, "chunk", full)
+    monkeypatch.setattr(McapSink, "chunk", full)
     drive.run(100, first=0)
     drive.tell("pmsm_sim", "tripped", ("OVERCURRENT", 90))
     assert drive.written() == []

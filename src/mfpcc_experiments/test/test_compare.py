@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from harness import PATIENCE
 
-from mfpcc_experiments.bags import bag, recording
+from mfpcc_experiments.bags import BagError, recording
 from mfpcc_experiments.measuring import happened, measured, metrics
 from mfpcc_experiments.reporting import compare, figures, report
 
@@ -196,10 +196,10 @@ def test_another_window_than_the_recorded_one(bags, tmp_path):
 
 
 def test_nothing_is_written_if_a_recording_is_no_good(bags, tmp_path):
-    with pytest.raises(bag.BagError):
+    with pytest.raises(BagError):
         compare.compare([*bags, tmp_path / "missing"], tmp_path / "out")
     assert not (tmp_path / "out").exists()
-    with pytest.raises(bag.BagError, match="no recordings"):
+    with pytest.raises(BagError, match="no recordings"):
         compare.compare([], tmp_path / "out")
 
 

@@ -15,7 +15,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mfpcc_experiments import cli
-from mfpcc_experiments.bags import bag, mcap_file, recording, recover
+from mfpcc_experiments.bags import LOOP_TOPICS, BagError, mcap_format, recording, recover
+from mfpcc_experiments.bags.definitions import message_definition
+from mfpcc_experiments.bags.mcap_format import MAGIC
 from mfpcc_experiments.measuring import metrics
 
 #: More than the little bag of these tests needs by far (bytes).
@@ -43,8 +45,8 @@ def cut(rng: np.random.Generator, data: bytearray) -> None:
 
 def record_starts(data: bytes) -> Iterator[int]:
     """Offsets of the records outside of chunks."""
-    at = len(bag.MAGIC)
-    while at + _HEAD.size <= len(data) - len(bag.MAGIC):
+    at = len(MAGIC)
+    while at + _HEAD.size <= len(data) - len(MAGIC):
         yield at
         at += _HEAD.size + _HEAD.unpack_from(data, at)[1]
 
@@ -67,7 +69,7 @@ def chunk_that_lies(rng: np.random.Generator, data: bytearray) -> None:
     at = chunks[rng.integers(len(chunks))] + 9
     offset, length = ((16, 8), (24, 4), (28, 4), (35, 8))[rng.integers(4)]
     lying = int(
-        rng.choice([0, 1, 1 << 20, mcap_file.MAX_CHUNK, mcap_file.MAX_CHUNK + 1, 2**32 - 1])
+        rng.choice([0, 1, 1 << 20, mcap_format.MAX_CHUNK, mcap_format.MAX_CHUNK + 1, 2**32 - 1])
     )
     if rng.random() < 0.3:
         lying = fuzz.any_integer(rng)
@@ -100,8 +102,8 @@ def test_a_spoilt_mcap_file(
         shutil.copytree(whole, path)
         (path / file.name).write_bytes(data)
         tracemalloc.start()
-        _, refusal = fuzz.outcome(bag.BagError, read_all, path)
-        _, lost = fuzz.outcome(bag.BagError, recover.recover, path)
+        _, refusal = fuzz.outcome(BagError, read_all, path)
+        _, lost = fuzz.outcome(BagError, recover.recover, path)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < MEMORY, f"{peak >> 20} MiB"
@@ -109,7 +111,7 @@ def test_a_spoilt_mcap_file(
             assert "\n" not in text and (not text or str(path) in text), text
         if not lost:  # what was repaired is whole, and can be read where it holds the needed topics
             assert "nothing to repair" in recover.recover(path)
-            _, refusal = fuzz.outcome(bag.BagError, recording.read, path)
+            _, refusal = fuzz.outcome(BagError, recording.read, path)
             assert not refusal or "no messages of topic" in refusal, refusal
 
 
@@ -119,8 +121,8 @@ def test_a_spoilt_bag_of_others(drive_messages: Callable, tmp_path: Path) -> Non
     store = get_typestore(Stores.ROS2_JAZZY)
     with Writer(whole, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connections = {}
-        for topic, type_name in bag.LOOP_TOPICS.items():
-            types = get_types_from_msg(bag.message_definition(type_name), type_name)
+        for topic, type_name in LOOP_TOPICS.items():
+            types = get_types_from_msg(message_definition(type_name), type_name)
             store.register({k: v for k, v in types.items() if k not in store.fielddefs})
             connections[topic] = writer.add_connection("/" + topic, type_name, typestore=store)
         for topic, time, data in drive_messages(300):
@@ -134,9 +136,9 @@ def test_a_spoilt_bag_of_others(drive_messages: Callable, tmp_path: Path) -> Non
         spoilt = bytearray(file.read_bytes())
         (flipped, cut)[rng.integers(2)](rng, spoilt)
         file.write_bytes(spoilt)
-        _, refusal = fuzz.outcome(bag.BagError, recording.read, path)
+        _, refusal = fuzz.outcome(BagError, recording.read, path)
         assert not refusal or str(path) in refusal
-        _, refusal = fuzz.outcome(bag.BagError, recover.recover, path)
+        _, refusal = fuzz.outcome(BagError, recover.recover, path)
         assert "only MCAP recordings can be repaired" in refusal or "no recording here" in refusal
 
 

@@ -13,7 +13,8 @@ from bag_kinds import Kind
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from synthetic_drive import messages
 
-from mfpcc_experiments.bags import bag, layouts, recording
+from mfpcc_experiments.bags import LOOP_TOPICS, BagError, layouts, recording
+from mfpcc_experiments.bags.definitions import message_definition
 from mfpcc_experiments.notes import Severity
 
 MESSAGES = list(messages(40, oversampling=3))
@@ -23,8 +24,8 @@ def recorded_with(
     path: Path, monkeypatch: pytest.MonkeyPatch, topic: str, change: Callable[[str], str]
 ) -> Path:
     """Write the recording as if the definition of a topic were another one, by rosbags."""
-    type_name = bag.LOOP_TOPICS[topic]
-    text = bag.message_definition(type_name)
+    type_name = LOOP_TOPICS[topic]
+    text = message_definition(type_name)
     other = change(text)
     assert other != text
     stores = [get_typestore(Stores.EMPTY), get_typestore(Stores.EMPTY)]
@@ -43,16 +44,18 @@ def recorded_with(
         return bytes(stores[1].serialize_cdr(kind(**values), type_name))
 
     changed = [(t, at, convert(data) if t == topic else data) for t, at, data in MESSAGES]
-    real = bag.message_definition
+    real = message_definition
     with monkeypatch.context() as patch:
-        patch.setattr(bag, "message_definition", lambda t: other if t == type_name else real(t))
+        patch.setattr(
+            bag_kinds, "message_definition", lambda t: other if t == type_name else real(t)
+        )
         return bag_kinds.write(path, [changed], Kind())
 
 
 def fields(topic: str) -> list[str]:
     store = get_typestore(Stores.EMPTY)
-    type_name = bag.LOOP_TOPICS[topic]
-    store.register(get_types_from_msg(bag.message_definition(type_name), type_name))
+    type_name = LOOP_TOPICS[topic]
+    store.register(get_types_from_msg(message_definition(type_name), type_name))
     return [name for name, _ in store.fielddefs[type_name][1]]
 
 
@@ -85,7 +88,7 @@ def test_a_bag_from_before_a_field_was_added(
         pytest.skip("the waveforms came both at once")
     path = recorded_with(tmp_path / "bag", monkeypatch, topic, without(field))
     if {field, f"{field} of {topic}"} & NEEDED:
-        with pytest.raises(bag.BagError, match=f"another definition .*has no field {field} there"):
+        with pytest.raises(BagError, match=f"another definition .*has no field {field} there"):
             recording.read(path)
         return
     found = recording.read(path)
@@ -136,7 +139,7 @@ def test_definitions_that_are_of_no_use(text: str, encoding: str) -> None:
         layouts.recorded_layout("mfpcc_msgs/msg/PhaseFeedback", text, encoding)
 
 
-@pytest.mark.parametrize("type_name", bag.LOOP_TOPICS.values())
+@pytest.mark.parametrize("type_name", LOOP_TOPICS.values())
 def test_definitions_in_idl(type_name: str) -> None:
     """As rosbag2 stores them where a package has no .msg files."""
     text = ""
@@ -153,7 +156,7 @@ def test_the_layout_is_that_of_the_wire() -> None:
 
     from pwm_node.wire import fixed_dtype, fixed_size
 
-    for type_name in bag.LOOP_TOPICS.values():
+    for type_name in LOOP_TOPICS.values():
         msg_class = getattr(mfpcc_msgs.msg, type_name.split("/")[-1])
         found, wire = layouts.own_layout(type_name), fixed_dtype(msg_class)
         assert found.size == fixed_size(msg_class) and found.dtype.names == wire.names

@@ -10,7 +10,9 @@ import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mfpcc_experiments.bags import bag, recording, recover
+from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, recover
+from mfpcc_experiments.bags.definitions import message_definition
+from mfpcc_experiments.bags.mcap_format import MAGIC
 from mfpcc_experiments.measuring import happened, metrics
 
 
@@ -166,7 +168,7 @@ def test_a_restart_that_the_topics_tell_one_after_the_other(make_bag, drive_mess
 def test_drives_at_the_same_times_cannot_be_told_apart(tmp_path, drive_messages):
     messages = list(drives(drive_messages, wall_clock=False))
     path = bag_kinds.write(tmp_path / "bag", [messages], bag_kinds.Kind())
-    with pytest.raises(bag.BagError, match="lut_diagnostics holds period 0 more than once"):
+    with pytest.raises(BagError, match="lut_diagnostics holds period 0 more than once"):
         recording.read(path)
 
 
@@ -198,9 +200,9 @@ def test_a_late_recorder_finds_one_topic_after_the_other(make_bag, drive_message
 
 
 def test_nothing_there(tmp_path):
-    with pytest.raises(bag.BagError, match="there is no such file or folder"):
+    with pytest.raises(BagError, match="there is no such file or folder"):
         recording.read(tmp_path / "nowhere")
-    with pytest.raises(bag.BagError, match="no recording here"):
+    with pytest.raises(BagError, match="no recording here"):
         recording.read(tmp_path)
 
 
@@ -210,62 +212,63 @@ def test_nothing_there(tmp_path):
         (b"", "empty"),
         (b"\x89MCA", "ends within"),
         (b"PK\3\4 something else", "no MCAP file"),
-        (bag.MAGIC, "not finished"),
-        (bag.MAGIC + struct.pack("<BQ", 6, 2**60), "not finished"),
+        (MAGIC, "not finished"),
+        (MAGIC + struct.pack("<BQ", 6, 2**60), "not finished"),
     ],
 )
 def test_what_is_no_recording(tmp_path, content, text):
     file = tmp_path / "x.mcap"
     file.write_bytes(content)
-    with pytest.raises(bag.BagError, match=text):
+    with pytest.raises(BagError, match=text):
         recording.read(file)
-    with pytest.raises(bag.BagError):
+    with pytest.raises(BagError):
         recover.recover(file)
     assert file.read_bytes() == content
 
 
 def test_a_bag_without_messages(tmp_path):
-    with bag.BagWriter(tmp_path / "b", config={}):
+    with BagWriter(tmp_path / "b", config={}):
         pass
-    with pytest.raises(bag.BagError, match="no messages of topic phase_feedback and duty_command"):
+    with pytest.raises(BagError, match="no messages of topic phase_feedback and duty_command"):
         recording.read(tmp_path / "b")
 
 
 def test_a_bag_with_other_topics(tmp_path):
-    with bag.BagWriter(tmp_path / "b", config={}) as writer:
+    with BagWriter(tmp_path / "b", config={}) as writer:
         writer.add_topic("/scan", "builtin_interfaces/msg/Time")
         writer.write("/scan", 0, b"\0\1\0\0" + bytes(8))
-    with pytest.raises(bag.BagError, match="there are: /scan"):
+    with pytest.raises(BagError, match="there are: /scan"):
         recording.read(tmp_path / "b")
 
 
 def test_a_bag_with_other_messages_of_the_same_topic(tmp_path, monkeypatch, drive_messages):
-    monkeypatch.setitem(bag.LOOP_TOPICS, "phase_feedback", "builtin_interfaces/msg/Time")
-    with bag.BagWriter(tmp_path / "b", config={}) as writer:
+    monkeypatch.setitem(LOOP_TOPICS, "phase_feedback", "builtin_interfaces/msg/Time")
+    with BagWriter(tmp_path / "b", config={}) as writer:
         writer.write("phase_feedback", 0, b"\0\1\0\0" + bytes(8))
     monkeypatch.undo()
-    with pytest.raises(bag.BagError, match="is of type builtin_interfaces/msg/Time, not mfpcc"):
+    with pytest.raises(BagError, match="is of type builtin_interfaces/msg/Time, not mfpcc"):
         recording.read(tmp_path / "b")
 
 
 def test_a_definition_that_is_not_that_of_the_messages(make_bag, monkeypatch):
-    text = bag.message_definition("mfpcc_msgs/msg/PhaseFeedback").replace("float64", "float32")
-    real = bag.message_definition
-    monkeypatch.setattr(bag, "message_definition", lambda t: text if "Phase" in t else real(t))
+    text = message_definition("mfpcc_msgs/msg/PhaseFeedback").replace("float64", "float32")
+    real = message_definition
+    name = "mfpcc_experiments.bags.writer.message_definition"
+    monkeypatch.setattr(name, lambda t: text if "Phase" in t else real(t))
     path = make_bag(periods=3)
-    with pytest.raises(bag.BagError, match="has not the layout of its definition"):
+    with pytest.raises(BagError, match="has not the layout of its definition"):
         recording.read(path)
 
 
 def test_two_axes(tmp_path, drive_messages):
-    with bag.BagWriter(tmp_path / "b", config={}) as writer:
+    with BagWriter(tmp_path / "b", config={}) as writer:
         for axis in ("/axis1/", "/axis2/"):
-            for name, type_name in bag.LOOP_TOPICS.items():
+            for name, type_name in LOOP_TOPICS.items():
                 writer.add_topic(axis + name, type_name)
         for topic, time, data in drive_messages(20):
             writer.write("/axis1/" + topic, time, data)
             writer.write("/axis2/" + topic, time, data)
-    with pytest.raises(bag.BagError, match="choose one of /axis1, /axis2"):
+    with pytest.raises(BagError, match="choose one of /axis1, /axis2"):
         recording.read(tmp_path / "b")
     assert len(recording.read(tmp_path / "b", namespace="axis2").feedback) == 20
 
@@ -275,8 +278,8 @@ def test_bags_written_by_others(tmp_path, drive_messages, plugin):
     store = get_typestore(Stores.ROS2_JAZZY)
     with Writer(tmp_path / "other", version=9, storage_plugin=plugin) as writer:
         connections = {}
-        for topic, type_name in bag.LOOP_TOPICS.items():
-            types = get_types_from_msg(bag.message_definition(type_name), type_name)
+        for topic, type_name in LOOP_TOPICS.items():
+            types = get_types_from_msg(message_definition(type_name), type_name)
             store.register({k: v for k, v in types.items() if k not in store.fielddefs})
             connections[topic] = writer.add_connection("/" + topic, type_name, typestore=store)
         for topic, time, data in drive_messages(2000):
@@ -301,7 +304,7 @@ def test_a_cut_file_is_said_to_be_cut_and_can_be_recovered(make_bag, share):
     (file,) = path.glob("*.mcap")
     data = file.read_bytes()
     file.write_bytes(data[: int(len(data) * share)])
-    with pytest.raises(bag.BagError, match="not finished"):
+    with pytest.raises(BagError, match="not finished"):
         recording.read(path)
     if share > 0.3:
         recover.recover(path)
@@ -316,7 +319,7 @@ def test_a_damaged_part_is_dropped_and_the_old_file_kept(make_bag):
     data = bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1
     file.write_bytes(data)
-    with pytest.raises(bag.BagError, match="damaged"):
+    with pytest.raises(BagError, match="damaged"):
         recording.read(path)
     assert "1 damaged part dropped" in recover.recover(path)
     found = recording.read(path)
@@ -360,7 +363,7 @@ def test_random_mutations_never_give_wrong_numbers_silently(make_bag):
         file.write_bytes(data)
         try:
             found = recording.read(path)
-        except bag.BagError as error:
+        except BagError as error:
             messages.append(str(error))
             continue
         assert found.config == expected.config

@@ -13,7 +13,10 @@ from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader
 from synthetic_drive import CONFIG, messages
 
-from mfpcc_experiments.bags import bag, recording, recover
+from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, recover
+from mfpcc_experiments.bags.definitions import message_definition
+from mfpcc_experiments.bags.provenance import CONFIG_RECORD, json_record
+from mfpcc_experiments.bags.sink import McapSink
 
 MESSAGES = list(messages(200))
 
@@ -25,8 +28,8 @@ def write(path: Path, *, silent: bool = False, json_topic: bool = False) -> Path
         writer = Writer(file, chunk_size=1 << 14, compression=CompressionType.ZSTD)
         writer.start(profile="ros2")
         channels = {}
-        for topic, type_name in bag.LOOP_TOPICS.items():
-            text = bag.message_definition(type_name).encode()
+        for topic, type_name in LOOP_TOPICS.items():
+            text = message_definition(type_name).encode()
             schema = writer.register_schema(type_name, "ros2msg", text)
             channels[topic] = writer.register_channel("/" + topic, "cdr", schema)
         if json_topic:
@@ -34,7 +37,7 @@ def write(path: Path, *, silent: bool = False, json_topic: bool = False) -> Path
             writer.add_message(channels["json"], 0, b'{"a": 1}', 0)
         if silent:
             writer.register_channel("/silent", "cdr", schema)
-        writer.add_metadata(bag.CONFIG_RECORD, bag.json_record(CONFIG | {"window_s": None}))
+        writer.add_metadata(CONFIG_RECORD, json_record(CONFIG | {"window_s": None}))
         writer.add_metadata("theirs", {"json": "[1, 2", "key": "value"})
         writer.add_attachment(1, 2, "photo.png", "image/png", b"picture" * 100)
         for topic, at, data in MESSAGES:
@@ -61,7 +64,7 @@ def check(path: Path) -> None:
         summary = reader.get_summary()
         assert summary.statistics.attachment_count == len(summary.attachment_indexes) == 1
         found = [(c.topic[1:], m.log_time, m.data) for _, c, m in reader.iter_messages()]
-    assert sorted(m for m in found if m[0] in bag.LOOP_TOPICS) == sorted(MESSAGES)
+    assert sorted(m for m in found if m[0] in LOOP_TOPICS) == sorted(MESSAGES)
 
 
 def test_a_whole_file_that_lacks_its_metadata_is_left_as_it_is(tmp_path: Path) -> None:
@@ -99,8 +102,8 @@ def test_a_first_chunk_without_messages(tmp_path: Path) -> None:
         writer = Writer(file, chunk_size=1 << 14)
         writer.start(profile="ros2")
         channels = {}
-        for topic, type_name in bag.LOOP_TOPICS.items():
-            text = bag.message_definition(type_name).encode()
+        for topic, type_name in LOOP_TOPICS.items():
+            text = message_definition(type_name).encode()
             schema = writer.register_schema(type_name, "ros2msg", text)
             channels[topic] = writer.register_channel("/" + topic, "cdr", schema)
         writer._Writer__finalize_chunk()  # as rosbag2 does where the first messages are late
@@ -143,22 +146,22 @@ def test_a_copy_that_is_not_what_it_should_be_replaces_nothing(
 ) -> None:
     path = write(tmp_path / "bag" / "bag_0.mcap")
     old = cut(path, 20)
-    real = bag.McapSink.chunk
+    real = McapSink.chunk
 
-    def chunk(sink: bag.McapSink, records: bytes, index: dict) -> None:
+    def chunk(sink: McapSink, records: bytes, index: dict) -> None:
         real(sink, records[:-1] + bytes([records[-1] ^ 1]), index)  # a disk that lies
 
-    monkeypatch.setattr(bag.McapSink, "chunk", chunk)
-    with pytest.raises(bag.BagError, match="the repaired copy does not hold what was copied"):
+    monkeypatch.setattr(McapSink, "chunk", chunk)
+    with pytest.raises(BagError, match="the repaired copy does not hold what was copied"):
         recover.recover(path.parent)
     assert {x.name: x.read_bytes() for x in path.parent.iterdir()} == {"bag_0.mcap": old}
 
 
 def test_a_bag_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
-    with bag.BagWriter(tmp_path / "live", config=CONFIG) as writer:
+    with BagWriter(tmp_path / "live", config=CONFIG) as writer:
         for message in MESSAGES:
             writer.write(*message)
-        with pytest.raises(bag.BagError, match="is being written at this moment"):
+        with pytest.raises(BagError, match="is being written at this moment"):
             recover.recover(tmp_path / "live")
     assert len(recording.read(tmp_path / "live").feedback) == 200
 
@@ -177,6 +180,6 @@ def test_a_file_that_grows_meanwhile_is_left_alone(
             file.write(b"more")
 
     monkeypatch.setattr(recover._Copy, "check", check)
-    with pytest.raises(bag.BagError, match="has changed meanwhile: is it being written"):
+    with pytest.raises(BagError, match="has changed meanwhile: is it being written"):
         recover.recover(path.parent)
     assert {x.name: x.read_bytes() for x in path.parent.iterdir()} == {"bag_0.mcap": old + b"more"}

@@ -13,8 +13,7 @@ import pytest
 
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_experiments import cli
-from mfpcc_experiments.bags import recording
-from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.bags import Recording, recording
 from mfpcc_experiments.measuring import replay
 from mfpcc_experiments.running import run
 from mfpcc_experiments.running.scenario import Scenario

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.bags import recording
-from mfpcc_experiments.bags.bag import BagWriter
+from mfpcc_experiments.bags import BagWriter, recording
 from mfpcc_experiments.running.engine import Engine
 from mfpcc_experiments.running.run import write_trace
 from pmsm_sim.parameters import TABLE as PLANT

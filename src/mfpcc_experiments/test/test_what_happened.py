@@ -15,8 +15,7 @@ from rosbags.highlevel import AnyReader
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments import notes
-from mfpcc_experiments.bags import recording
-from mfpcc_experiments.bags.bag import BagWriter
+from mfpcc_experiments.bags import BagWriter, recording
 from mfpcc_experiments.measuring import happened, metrics
 from mfpcc_experiments.running.engine import Engine
 from mfpcc_experiments.running.run import write_trace

@@ -16,13 +16,12 @@ from typing import Any
 
 import yaml
 
-from mfpcc_experiments.bags.bag import BagError
+from mfpcc_experiments.bags.errors import BagError
+from mfpcc_experiments.bags.metadata import METADATA
 from mfpcc_experiments.notes import Note, warning
 
 #: Names of files that may hold a recording, or a part of one.
 SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-
-METADATA = "metadata.yaml"
 
 _LARGEST_METADATA = 64 << 20  # bytes
 _NAMED_MOST = 3  # files that a sentence names

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfpcc_experiments.bags import layouts
-from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError
+from mfpcc_experiments.bags.errors import BagError
 from mfpcc_experiments.bags.layouts import Layout
 from mfpcc_experiments.bags.mcap_file import Topic
+from mfpcc_experiments.bags.topics import LOOP_TOPICS
 
 #: Which rows of a column: of all that were read, in this order.
 Rows = slice | NDArray[np.int64]

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.bags.bag import BagError
 from mfpcc_experiments.bags.columns import ALL, Column, Rows
+from mfpcc_experiments.bags.errors import BagError
 from mfpcc_experiments.notes import Note, warning
 
 _Array = NDArray[np.int64]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
-from mfpcc_experiments.bags.bag import message_definition
+from mfpcc_experiments.bags.definitions import message_definition
 
 # What rosbag2 writes before each definition in IDL.
 _IDL_HEAD = re.compile(r"^={80}\nIDL: .*\n", re.MULTILINE)

@@ -2,50 +2,37 @@
 Reading MCAP files record by record, trusting nothing in them.
 
 Only the data section is used, from front to back: the index at the end of a file is a copy, which a
-recording whose writer was killed does not have. Every length is held against the bytes that are
-really there before anything of that size is made, and every checksum that a file has is checked.
+recording whose writer was killed does not have.
 """
 
 from __future__ import annotations
 
 import fcntl
-import json
 import os
-import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import lz4.frame
-import numpy as np
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema, Statistics
-from numpy.typing import NDArray
 
-from mfpcc_experiments.bags.bag import MAGIC, BagError
+from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedError
+from mfpcc_experiments.bags.mcap_format import (
+    FOOTER,
+    MAGIC,
+    MAX_CHUNK,
+    RECORD_HEAD,
+    Messages,
+    parse,
+    unpack_chunk,
+    walk,
+)
+from mfpcc_experiments.bags.provenance import json_value
 
-#: Largest chunk that is unpacked (bytes): a hundred times what writers make.
-MAX_CHUNK = 256 << 20
-
-_PIECE = 1 << 20  # bytes that are unpacked at a time
-
-_RECORD_HEAD = struct.Struct("<BQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")
-_FOOTER = struct.Struct("<QQI")  # begin of the summary, of its index, checksum
-
-
-class UnfinishedError(BagError):
-    """A file that ends in the middle: its writer was killed, or it was cut."""
-
-
-class DamagedError(BagError):
-    """A file whose bytes are not those that were written."""
+# Messages that lie outside of chunks are gathered to so many bytes.
+_GATHERED = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -107,10 +94,10 @@ def _records(file: Any, size: int, path: Path) -> Iterator[Record]:
     crc = zlib.crc32(start)
     offset = len(start)
     while True:
-        head = file.read(_RECORD_HEAD.size)
-        if len(head) < _RECORD_HEAD.size:
+        head = file.read(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
             raise _unfinished(path)
-        opcode, length = _RECORD_HEAD.unpack(head)
+        opcode, length = RECORD_HEAD.unpack(head)
         if length > size - offset - len(head):
             raise _unfinished(path)
         content = file.read(length)
@@ -135,6 +122,94 @@ def _records(file: Any, size: int, path: Path) -> Iterator[Record]:
         raise _unfinished(path)
 
 
+def blocks(path: Path) -> Iterator[Record]:
+    """
+    Read the data section of a file as `records` does, with its messages in blocks.
+
+    Parameters
+    ----------
+    path : Path
+        An MCAP file.
+
+    Yields
+    ------
+    Record
+        Those of chunks and, where messages lie outside of chunks, records of the kind MESSAGE whose
+        content is many whole records of messages; `block` opens both. Others as they stand.
+
+    Raises
+    ------
+    BagError
+        As of `records`, behind the last block that could be read.
+    """
+    gathered, end = bytearray(), 0
+    try:
+        for record in records(path):
+            if record.opcode == Opcode.MESSAGE:
+                gathered += RECORD_HEAD.pack(record.opcode, len(record.content)) + record.content
+                end = record.end
+                if len(gathered) < _GATHERED:
+                    continue
+            if gathered:
+                yield Record(Opcode.MESSAGE, bytes(gathered), end)
+                gathered.clear()
+            if record.opcode != Opcode.MESSAGE:
+                yield record
+    except BagError:
+        if gathered:
+            yield Record(Opcode.MESSAGE, bytes(gathered), end)
+        raise
+    if gathered:
+        yield Record(Opcode.MESSAGE, bytes(gathered), end)
+
+
+@dataclass(frozen=True)
+class Block:
+    """
+    Messages that lie together in a file.
+
+    Attributes
+    ----------
+    data : bytes
+        Records, unpacked.
+    messages : Messages
+        Where the messages lie in it.
+    channels : set of int
+        Ids of the channels that are described in it.
+    """
+
+    data: bytes
+    messages: Messages
+    channels: set[int]
+
+
+def block(record: Record, channels: Channels) -> Block:
+    """
+    Open a chunk, or messages that `blocks` has gathered.
+
+    Parameters
+    ----------
+    record : Record
+        Of the kind CHUNK or MESSAGE.
+    channels : Channels
+        Takes note of what the block says of channels.
+
+    Raises
+    ------
+    DamagedError
+        If it is not what was written.
+    """
+    packed = record.opcode == Opcode.CHUNK
+    data = unpack_chunk(record.content, channels.path) if packed else record.content
+    others, messages = walk(data, channels.path)
+    described = set()
+    for opcode, begin, end in others:
+        channels.see(opcode, data[begin:end])
+        if opcode == Opcode.CHANNEL:
+            described.add(int.from_bytes(data[begin : begin + 2], "little"))
+    return Block(data, messages, described)
+
+
 def summary(path: Path) -> Iterator[Record]:
     """
     Read the copy of schemas and channels (and more) at the end of a file.
@@ -149,27 +224,27 @@ def summary(path: Path) -> Iterator[Record]:
     Record
         In the order of the file; none where there is no whole summary.
     """
-    tail = _RECORD_HEAD.size + _FOOTER.size + len(MAGIC)
+    tail = RECORD_HEAD.size + FOOTER.size + len(MAGIC)
     with open(path, "rb") as file:
         size = file.seek(0, os.SEEK_END)
         if size < len(MAGIC) + tail:
             return
         file.seek(size - tail)
         footer = file.read()
-        opcode, length = _RECORD_HEAD.unpack_from(footer)
-        begin, _, crc = _FOOTER.unpack_from(footer, _RECORD_HEAD.size)
-        if (opcode, length, footer[-len(MAGIC) :]) != (Opcode.FOOTER, _FOOTER.size, MAGIC):
+        opcode, length = RECORD_HEAD.unpack_from(footer)
+        begin, _, crc = FOOTER.unpack_from(footer, RECORD_HEAD.size)
+        if (opcode, length, footer[-len(MAGIC) :]) != (Opcode.FOOTER, FOOTER.size, MAGIC):
             return
         if not 0 < begin <= size - tail or size - begin > MAX_CHUNK:
             return
         file.seek(begin)
         data = file.read(size - tail - begin)
-    if crc and crc != zlib.crc32(footer[: _RECORD_HEAD.size + _FOOTER.size - 4], zlib.crc32(data)):
+    if crc and crc != zlib.crc32(footer[: RECORD_HEAD.size + FOOTER.size - 4], zlib.crc32(data)):
         return
     position = 0
-    while len(data) - position >= _RECORD_HEAD.size:
-        opcode, length = _RECORD_HEAD.unpack_from(data, position)
-        content = position + _RECORD_HEAD.size
+    while len(data) - position >= RECORD_HEAD.size:
+        opcode, length = RECORD_HEAD.unpack_from(data, position)
+        content = position + RECORD_HEAD.size
         position = content + length
         yield Record(opcode, data[content:position], begin + position)
 
@@ -200,87 +275,6 @@ def _unfinished(path: Path) -> UnfinishedError:
     return UnfinishedError(
         f"{path}: the recording was not finished, or was cut (was its writer killed?). "
         f"'mfpcc recover {path}' repairs it"
-    )
-
-
-def unpack_chunk(content: bytes, path: Path) -> bytes:
-    """
-    Unpack a chunk record.
-
-    Parameters
-    ----------
-    content : bytes
-        Content of the record.
-    path : Path
-        File, for messages.
-
-    Returns
-    -------
-    bytes
-        The records in the chunk.
-
-    Raises
-    ------
-    DamagedError
-        If it cannot be unpacked, or its size or checksum is wrong.
-    """
-    if len(content) < _CHUNK_HEAD.size + 8:
-        raise _damaged_chunk(path, "too short")
-    _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(content)
-    begin = _CHUNK_HEAD.size + name_length
-    name = content[_CHUNK_HEAD.size : begin]
-    if name_length > 16 or len(content) < begin + 8:
-        raise _damaged_chunk(path, "too short")
-    (packed_size,) = struct.unpack_from("<Q", content, begin)
-    packed = memoryview(content)[begin + 8 :]
-    if packed_size != len(packed):
-        raise _damaged_chunk(path, "wrong size")
-    if size > MAX_CHUNK:
-        raise _damaged_chunk(path, f"claims to hold {size} bytes")
-    try:
-        data = _unpack(bytes(name), packed, size)
-    except (RuntimeError, ValueError, EOFError, MemoryError, zstandard.ZstdError) as error:
-        raise _damaged_chunk(path, str(error)) from None
-    if data is None:
-        raise BagError(
-            f"{path}: chunks are compressed with '{name.decode('ascii', 'replace')}'; "
-            "only lz4, zstd and none are known"
-        )
-    if len(data) != size or (crc and zlib.crc32(data) != crc):
-        raise _damaged_chunk(path, "the checksum does not match")
-    return data
-
-
-def _unpack(name: bytes, packed: memoryview, size: int) -> bytes | None:
-    """Decompress at most `size` bytes, whatever the compressed data say of themselves.
-
-    In pieces, so that it takes the memory of what is there, not of what is claimed.
-    """
-    if name == b"":
-        return bytes(packed)
-    data = bytearray()
-    if name == b"lz4":
-        frame = lz4.frame.LZ4FrameDecompressor()
-        rest: memoryview | bytes = packed
-        while len(data) < size and not frame.eof:
-            piece = frame.decompress(rest, max_length=min(size - len(data), _PIECE))
-            if not (piece or rest):
-                break
-            data += piece
-            rest = b""  # it keeps what it has not used yet
-    elif name == b"zstd":
-        with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
-            while piece := reader.read(min(size - len(data), _PIECE)):
-                data += piece
-    else:
-        return None
-    return bytes(data)
-
-
-def _damaged_chunk(path: Path, reason: str) -> DamagedError:
-    return DamagedError(
-        f"{path}: a part of the file is damaged ({reason}). "
-        f"'mfpcc recover {path}' saves the parts that are whole"
     )
 
 
@@ -346,28 +340,9 @@ class Channels:
         return Topic(channel.topic, schema.name, text, channel.message_encoding, schema.encoding)
 
 
-def parse(kind: Any, content: bytes, path: Path) -> Any:
+def metadata(record: Record, path: Path) -> tuple[str, dict[str, str], Any]:
     """
-    Parse a record of the `mcap` library from the content of a record.
-
-    Parameters
-    ----------
-    kind : type
-        E.g. `mcap.records.Channel`.
-    content : bytes
-        Content of the record.
-    path : Path
-        File, for messages.
-    """
-    try:
-        return kind.read(ReadDataStream(BytesIO(content)))
-    except (EndOfFile, struct.error, ValueError):
-        raise DamagedError(f"{path}: a {kind.__name__.lower()} record is damaged") from None
-
-
-def metadata(record: Record, path: Path) -> tuple[str, Any]:
-    """
-    Read a metadata record; one written by `bag.json_record` gives its value.
+    Read a metadata record.
 
     Parameters
     ----------
@@ -380,103 +355,13 @@ def metadata(record: Record, path: Path) -> tuple[str, Any]:
     -------
     name : str
         Name of the record.
+    entries : dict
+        As they stand.
     value : Any
-        The JSON value, or the record's entries.
+        What they say, see `provenance.json_value`.
     """
-    name, entries = metadata_entries(record, path)
-    text = entries.get("json")
-    if text is None or "crc32" not in entries:
-        return name, entries
-    try:
-        if f"{zlib.crc32(text.encode()):08x}" != entries["crc32"]:
-            raise ValueError
-        return name, json.loads(text)
-    except (ValueError, RecursionError):
-        raise DamagedError(f"{path}: the stored configuration is damaged") from None
-
-
-def metadata_entries(record: Record, path: Path) -> tuple[str, dict[str, str]]:
-    """Name and entries of a metadata record, as they stand."""
     entry = parse(Metadata, record.content, path)
-    return entry.name, entry.metadata
-
-
-@dataclass(frozen=True)
-class Messages:
-    """
-    Where the messages of some bytes lie.
-
-    Attributes
-    ----------
-    channel_id : ndarray of uint16
-    log_time : ndarray of uint64
-        (ns)
-    begin, end : ndarray of int64
-        Of the serialized message, without the head of its record.
-    """
-
-    channel_id: NDArray[np.uint16]
-    log_time: NDArray[np.uint64]
-    begin: NDArray[np.int64]
-    end: NDArray[np.int64]
-
-
-_HEAD_DTYPE = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel_id", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
-)
-
-
-def walk(data: bytes, path: Path) -> tuple[list[tuple[int, int, int]], Messages]:
-    """
-    Walk through the records of a chunk.
-
-    Parameters
-    ----------
-    data : bytes
-        The unpacked chunk.
-    path : Path
-        File, for messages.
-
-    Returns
-    -------
-    others : list of (int, int, int)
-        Opcode, begin and end of the content of each record that is no message.
-    messages : Messages
-        In the order of the chunk.
-
-    Raises
-    ------
-    DamagedError
-        If the records do not fill the chunk.
-    """
-    others: list[tuple[int, int, int]] = []
-    starts: list[int] = []
-    position, size = 0, len(data)
-    unpack, last = _RECORD_HEAD.unpack_from, size - _RECORD_HEAD.size
-    while position <= last:
-        opcode, length = unpack(data, position)
-        if opcode == 5:
-            if length < 22:
-                raise _damaged_chunk(path, "a message is cut")
-            starts.append(position)
-        else:
-            others.append((opcode, position + 9, position + 9 + length))
-        position += 9 + length
-    if position != size:
-        raise _damaged_chunk(path, "a record is cut")
-    begin = np.array(starts, np.int64)
-    raw = np.frombuffer(data, np.uint8)
-    heads = raw[begin[:, None] + np.arange(_HEAD_DTYPE.itemsize)].reshape(-1).view(_HEAD_DTYPE)
-    return others, Messages(
-        channel_id=heads["channel_id"].copy(),
-        log_time=heads["log_time"].copy(),
-        begin=begin + _HEAD_DTYPE.itemsize,
-        end=begin + 9 + heads["length"].astype(np.int64),
-    )
+    try:
+        return entry.name, entry.metadata, json_value(entry.metadata)
+    except ValueError:
+        raise DamagedError(f"{path}: the stored configuration is damaged") from None

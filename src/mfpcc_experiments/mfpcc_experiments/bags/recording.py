@@ -21,13 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.bags.bag import CONFIG_RECORD, LOOP_TOPICS, SUMMARY_RECORD, BagError
 from mfpcc_experiments.bags.bag_parts import Parts, parts_of
 from mfpcc_experiments.bags.columns import column, layout_of
 from mfpcc_experiments.bags.completeness import select
+from mfpcc_experiments.bags.errors import BagError
 from mfpcc_experiments.bags.layouts import Layout
 from mfpcc_experiments.bags.mcap_file import Topic
+from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD
 from mfpcc_experiments.bags.storage import Batch, Counts, Entry, contents
+from mfpcc_experiments.bags.topics import LOOP_TOPICS
 from mfpcc_experiments.notes import Note, info, warning
 from pwm_node import stamps
 

@@ -25,20 +25,14 @@ from mcap.reader import make_reader
 from mcap.records import Attachment
 
 from mfpcc_experiments.bags import mcap_file
-from mfpcc_experiments.bags.bag import (
-    CHUNK_BYTES,
-    CONFIG_RECORD,
-    SUMMARY_RECORD,
-    BagError,
-    McapSink,
-    encode,
-    end_file,
-    write_metadata,
-)
-from mfpcc_experiments.bags.bag_parts import METADATA, Parts, candidates, parts_of
+from mfpcc_experiments.bags.bag_parts import Parts, candidates, parts_of
+from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedError
+from mfpcc_experiments.bags.mcap_format import MESSAGE_HEAD, RECORD_HEAD, encode, parse
+from mfpcc_experiments.bags.metadata import METADATA, write_metadata
+from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD, custom_data
+from mfpcc_experiments.bags.sink import McapSink, end_file
 
 _OWN_RECORDS = ("rosbag2", SUMMARY_RECORD)  # written anew
-_KEYS = ("experiment", "scheme", "motor", "engine", "seed")
 
 
 def recover(path: Path) -> str:
@@ -168,28 +162,25 @@ class _Copy:
         self._summary: dict[str, object] = {}
         self._channels = mcap_file.Channels(source)
         # The chunk that says what the channels are may be the damaged one; the summary says it too.
-        with suppress(mcap_file.DamagedError):
+        with suppress(DamagedError):
             for record in mcap_file.summary(source):
                 self._channels.see(record.opcode, record.content)
         self._sent: set[int] = set()
-        # Messages that lie outside of chunks, until there are enough for one.
-        self._loose = bytearray()
 
     def run(self) -> None:
         """Copy until the end of the file, or of what can be read of it."""
         try:
-            for record in mcap_file.records(self.source):
+            for record in mcap_file.blocks(self.source):
                 try:
                     self._record(record)
-                except mcap_file.DamagedError as error:
+                except DamagedError as error:
                     self.problem = error
                     self.damaged += 1
                 self._end = record.end
-        except (mcap_file.UnfinishedError, mcap_file.DamagedError) as error:
+        except (UnfinishedError, DamagedError) as error:
             self.problem = self.problem or error
-            if isinstance(error, mcap_file.DamagedError) and not self.damaged:
+            if isinstance(error, DamagedError) and not self.damaged:
                 self.damaged = 1
-        self._flush()
         for channel_id in sorted(set(self._channels.channels) - set(self.sink.channels)):
             self._keep_silent(channel_id)
 
@@ -199,18 +190,12 @@ class _Copy:
         return bool(self.damaged) or self._end < self.state[0]
 
     def _record(self, record: mcap_file.Record) -> None:
-        if record.opcode == Opcode.CHUNK:
-            self._flush()
-            self._chunk(mcap_file.unpack_chunk(record.content, self.source))
-        elif record.opcode == Opcode.MESSAGE:
-            size = len(record.content).to_bytes(8, "little")
-            self._loose += bytes([Opcode.MESSAGE]) + size + record.content
-            if len(self._loose) > CHUNK_BYTES // 4:
-                self._flush()
+        if record.opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+            self._block(mcap_file.block(record, self._channels))
         elif record.opcode == Opcode.METADATA:
             self._metadata(record)
         elif record.opcode == Opcode.ATTACHMENT:
-            attachment = mcap_file.parse(Attachment, record.content, self.source)
+            attachment = parse(Attachment, record.content, self.source)
             self.sink.attachment(record.content, attachment)
         elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._channels.see(record.opcode, record.content)
@@ -218,28 +203,18 @@ class _Copy:
             self.sink.record(record.opcode, record.content)  # unknown here, known to another
 
     def _metadata(self, record: mcap_file.Record) -> None:
-        name, entries = mcap_file.metadata_entries(record, self.source)
-        _, value = mcap_file.metadata(record, self.source)
+        name, entries, value = mcap_file.metadata(record, self.source)
         if name == SUMMARY_RECORD and isinstance(value, dict):
             self._summary = value
         if name == CONFIG_RECORD and isinstance(value, dict):
-            self.custom = {key: str(value[key]) for key in _KEYS if value.get(key) is not None}
+            self.custom = custom_data(value)
         if name not in _OWN_RECORDS:
             self.sink.metadata(name, entries)
 
-    def _flush(self) -> None:
-        if self._loose:
-            data, self._loose = bytes(self._loose), bytearray()
-            self._chunk(data)
-
-    def _chunk(self, data: bytes) -> None:
+    def _block(self, block: mcap_file.Block) -> None:
         """Copy one chunk; its index is made anew."""
-        others, messages = mcap_file.walk(data, self.source)
-        there = set(self._sent)
-        for opcode, begin, end in others:
-            self._channels.see(opcode, data[begin:end])
-            if opcode == Opcode.CHANNEL:
-                there.add(int.from_bytes(data[begin : begin + 2], "little"))
+        data, messages = block.data, block.messages
+        there = self._sent | block.channels
         used = np.unique(messages.channel_id).tolist()
         for channel_id in used:
             self._channels.topic(channel_id)  # known, or the chunk is of no use
@@ -248,20 +223,14 @@ class _Copy:
         # What a dropped chunk said of its channels is said again.
         head = b"".join(self._description(cid) for cid in sorted(set(used) - there))
         index: dict[int, array[int]] = {}
-        offset = messages.begin - 31 + len(head)
+        offset = messages.begin - MESSAGE_HEAD.size + len(head)
         for channel_id in used:
             rows = messages.channel_id == channel_id
             pairs = np.stack([messages.log_time[rows], offset[rows].astype(np.uint64)], axis=1)
             index[channel_id] = array("Q", pairs.tobytes())
             self._know(channel_id)
-        for cid, begin, end in zip(
-            messages.channel_id.tolist(),
-            messages.begin.tolist(),
-            messages.end.tolist(),
-            strict=True,
-        ):
-            topic = self._channels.channels[cid].topic
-            self._checksums[topic] = zlib.crc32(data[begin:end], self._checksums.get(topic, 0))
+        for topic, message in _messages(block, self._channels):
+            self._checksums[topic] = zlib.crc32(message, self._checksums.get(topic, 0))
         self.sink.chunk(head + data, index)
         self._sent = there | set(used)
 
@@ -279,7 +248,7 @@ class _Copy:
             for record in (self._channels.schemas.get(channel.schema_id), channel):
                 if record is not None:
                     data = encode(record)
-                    self.sink.record(data[0], data[9:])
+                    self.sink.record(data[0], data[RECORD_HEAD.size :])
         self._know(channel_id)
 
     def _description(self, channel_id: int) -> bytes:
@@ -314,23 +283,14 @@ class _Copy:
         checksums: dict[str, int] = {}
         channels = mcap_file.Channels(path)
         try:
-            for record in mcap_file.records(path):
+            for record in mcap_file.blocks(path):
                 if record.opcode != Opcode.CHUNK:
                     channels.see(record.opcode, record.content)
                     continue
-                data = mcap_file.unpack_chunk(record.content, path)
-                others, messages = mcap_file.walk(data, path)
-                for opcode, begin, end in others:
-                    channels.see(opcode, data[begin:end])
-                for cid, begin, end in zip(
-                    messages.channel_id.tolist(),
-                    messages.begin.tolist(),
-                    messages.end.tolist(),
-                    strict=True,
-                ):
-                    topic = channels.topic(cid).name
+                block = mcap_file.block(record, channels)
+                for topic, message in _messages(block, channels):
                     counts[topic] += 1
-                    checksums[topic] = zlib.crc32(data[begin:end], checksums.get(topic, 0))
+                    checksums[topic] = zlib.crc32(message, checksums.get(topic, 0))
             with open(path, "rb") as file:
                 summary = make_reader(file).get_summary()
             statistics = summary.statistics if summary is not None else None
@@ -339,6 +299,21 @@ class _Copy:
         told = statistics.message_count if statistics is not None else -1
         if (counts, checksums, told) != (expected, self._checksums, sum(expected.values())):
             raise BagError(f"{self.source}: the repaired copy does not hold what was copied")
+
+
+def _messages(
+    block: mcap_file.Block, channels: mcap_file.Channels
+) -> Iterator[tuple[str, memoryview]]:
+    """Topic and bytes of each message of a block."""
+    names = {cid: channels.topic(cid).name for cid in np.unique(block.messages.channel_id).tolist()}
+    data = memoryview(block.data)
+    for cid, begin, end in zip(
+        block.messages.channel_id.tolist(),
+        block.messages.begin.tolist(),
+        block.messages.end.tolist(),
+        strict=True,
+    ):
+        yield names[cid], data[begin:end]
 
 
 def _report(path: Path, copies: list[_Copy]) -> str:

@@ -17,11 +17,13 @@ from typing import Any
 
 import numpy as np
 import zstandard
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from mfpcc_experiments.bags import mcap_file
-from mfpcc_experiments.bags.bag import MAGIC, BagError
-from mfpcc_experiments.bags.mcap_file import DamagedError, Topic, UnfinishedError
+from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedError
+from mfpcc_experiments.bags.mcap_file import Topic
+from mfpcc_experiments.bags.mcap_format import MAGIC
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _SQLITE = b"SQLite format 3\0"
@@ -131,26 +133,17 @@ def _mcap(
     channels = mcap_file.Channels(file)
     counter = _Counter()
     total = file.stat().st_size or 1
-    loose = bytearray()
-    for record in mcap_file.records(file):
-        if record.opcode == 5:  # a message outside of a chunk
-            loose += bytes([5]) + len(record.content).to_bytes(8, "little") + record.content
-            if len(loose) < 4 * _PIECE:
-                continue
-        if loose:
-            yield from _mcap_messages(bytes(loose), channels, wanted, counter)
-            loose.clear()
-        if record.opcode == 6:
-            data = mcap_file.unpack_chunk(record.content, file)
-            yield from _mcap_messages(data, channels, wanted, counter)
+    for record in mcap_file.blocks(file):
+        if record.opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+            block = mcap_file.block(record, channels)
+            yield from _mcap_messages(block, channels, wanted, counter)
             if progress is not None:
                 progress(record.end / total)
-        elif record.opcode == 12:
-            yield Entry(*mcap_file.metadata(record, file))
-        elif record.opcode != 5:
+        elif record.opcode == Opcode.METADATA:
+            name, _, value = mcap_file.metadata(record, file)
+            yield Entry(name, value)
+        else:
             channels.see(record.opcode, record.content)
-    if loose:
-        yield from _mcap_messages(bytes(loose), channels, wanted, counter)
     yield Counts(counter.found, mcap_file.message_count(file))
 
 
@@ -165,12 +158,10 @@ class _Counter:
 
 
 def _mcap_messages(
-    data: bytes, channels: mcap_file.Channels, wanted: Wanted, counter: _Counter
+    block: mcap_file.Block, channels: mcap_file.Channels, wanted: Wanted, counter: _Counter
 ) -> Iterator[Batch]:
-    """Sort the messages of a chunk by topic."""
-    others, messages = mcap_file.walk(data, channels.path)
-    for opcode, begin, end in others:
-        channels.see(opcode, data[begin:end])
+    """Sort the messages of a block by topic."""
+    data, messages = block.data, block.messages
     for channel_id in np.unique(messages.channel_id).tolist():
         topic = channels.topic(channel_id)
         rows = np.flatnonzero(messages.channel_id == channel_id)

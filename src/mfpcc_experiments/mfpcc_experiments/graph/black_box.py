@@ -40,8 +40,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.timer import Timer
 
-from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
-from mfpcc_experiments.bags.provenance import versions
+from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, versions
 from pmsm_sim import motor
 from pwm_node import guard, stamps
 from pwm_node.yaml_files import FileError

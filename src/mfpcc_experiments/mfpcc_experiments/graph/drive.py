@@ -29,7 +29,7 @@ from rclpy.task import Future
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.bags.bag import BagWriter
+from mfpcc_experiments.bags import BagWriter
 from mfpcc_experiments.graph import black_box
 from mfpcc_experiments.graph.black_box import BlackBoxNode
 from mfpcc_experiments.graph.recorder import Recorder, sink

@@ -35,7 +35,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.bags.bag import LOOP_TOPICS, BagError, BagWriter
+from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter
 from mfpcc_experiments.graph.black_box import BlackBox
 from mfpcc_experiments.measuring.happened import latched
 from pmsm_sim.parameters import TABLE as PLANT

@@ -28,9 +28,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.timer import Timer
 
-from mfpcc_experiments.bags import recording
-from mfpcc_experiments.bags.bag import BagError
-from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.bags import BagError, Recording, recording
 from mfpcc_experiments.reporting.compare import write_whole
 from pwm_node import spin
 from pwm_node.diagnostics import Part

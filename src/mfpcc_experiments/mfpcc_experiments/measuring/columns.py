@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.bags import Recording
 from mfpcc_experiments.measuring.happened import rows_of
 
 # Topic, its field, and the columns that it becomes: names end with the unit, where there is one.

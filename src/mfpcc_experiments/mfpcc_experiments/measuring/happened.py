@@ -22,7 +22,7 @@ from pwm_node import schedule
 from pwm_node.parameters import ParameterError
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.bags.recording import Recording
+    from mfpcc_experiments.bags import Recording
 
 _TABLES = {"pmsm_sim": PLANT, "mfpcc_controller": CONTROLLER}
 

@@ -51,7 +51,7 @@ from pmsm_sim.thermal import REFERENCE_TEMPERATURE
 from pwm_node.errors import ForPeople
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.bags.recording import Recording
+    from mfpcc_experiments.bags import Recording
     from mfpcc_experiments.measuring.happened import History
 
 Array = NDArray[np.float64]

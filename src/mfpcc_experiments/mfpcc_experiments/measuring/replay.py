@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from mfpcc_controller.controller import Controller, answer
 from mfpcc_controller.parameters import TABLE
 from mfpcc_controller.vectors import LEGS, set_output
-from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.bags import Recording
 from mfpcc_experiments.measuring import happened, metrics
 from mfpcc_experiments.measuring.happened import rows_of, scheme_title
 from mfpcc_experiments.notes import Note, failure, info

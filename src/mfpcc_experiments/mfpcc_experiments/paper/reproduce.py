@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.bags import recording
-from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.bags import Recording, recording
 from mfpcc_experiments.measuring import metrics
 from mfpcc_experiments.measuring.happened import scheme_title
 from mfpcc_experiments.measuring.measured import Signal, signals

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mfpcc_experiments import notes
-from mfpcc_experiments.bags import recording
-from mfpcc_experiments.bags.bag import BagError
+from mfpcc_experiments.bags import BagError, recording
 from mfpcc_experiments.measuring import metrics
 from mfpcc_experiments.measuring.measured import Measured, labels, signals
 from pwm_node import interrupts

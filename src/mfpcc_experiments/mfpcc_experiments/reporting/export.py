@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.bags.recording import Recording
+from mfpcc_experiments.bags import Recording
 from mfpcc_experiments.measuring.columns import columns
 from pwm_node.errors import ForPeople
 from pwm_node.names import unknown

@@ -11,8 +11,7 @@ from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedbac
 from numpy.typing import NDArray
 
 from mfpcc_controller.controller import Controller
-from mfpcc_experiments.bags.bag import BagWriter
-from mfpcc_experiments.bags.provenance import versions
+from mfpcc_experiments.bags import BagWriter, versions
 from mfpcc_experiments.measuring.happened import latched
 from mfpcc_experiments.progress import Tell
 from mfpcc_experiments.running.engine import Engine, Trace, step_time
@@ -74,7 +73,7 @@ def run(
 
     Raises
     ------
-    mfpcc_experiments.bags.bag.BagError
+    mfpcc_experiments.bags.BagError
         If the recording cannot be written.
     mfpcc_experiments.graph.drive.DriveError
         If the graph does not run to the end, or messages are lost (engine `ros`).

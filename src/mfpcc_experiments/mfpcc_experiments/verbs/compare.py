@@ -47,7 +47,7 @@ def command(
     The exit code is 3 where a recording is of a drive that did not do what was asked for (a trip,
     a fallback, gates off or messages missing in the window): the notes below the table say what.
     """
-    from mfpcc_experiments.bags.bag_parts import bags_in
+    from mfpcc_experiments.bags import bags_in
     from mfpcc_experiments.files import result_folder
     from mfpcc_experiments.progress import progress_bar
     from mfpcc_experiments.reporting import compare
