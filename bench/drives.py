@@ -32,9 +32,9 @@ class TimedPlant(PmsmSim):
 
     begin = end = 0.0
 
-    def _begin_when_heard(self) -> None:
-        self.begin = time.perf_counter()  # the last time is the one that counts
-        super()._begin_when_heard()
+    def _begin(self) -> None:
+        self.begin = time.perf_counter()
+        super()._begin()
 
     def finish(self) -> None:
         """Note the end."""

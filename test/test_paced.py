@@ -10,6 +10,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 import rclpy
@@ -17,8 +18,12 @@ from harness import Process, until
 from outside import Outside
 from rclpy.parameter import Parameter
 
+from mfpcc_experiments.bags import recording
+from mfpcc_experiments.graph.replayer import Replayer
 from pmsm_sim.node import PmsmSim
 from pwm_node.diagnostics import Level
+
+REFERENCE = Path(__file__).resolve().parent.parent / "bags" / "reference" / "mfpcc"
 
 #: 200 periods a second.
 FACTOR = 0.02
@@ -60,7 +65,7 @@ class Paced(PmsmSim):
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """What time it is, for the pace (s)."""
     now = [1000.0]
-    monkeypatch.setattr("pmsm_sim.node.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("pwm_node.pace.time.monotonic", lambda: now[0])
     return now
 
 
@@ -76,22 +81,22 @@ def test_each_tick_is_a_period_and_lost_time_is_left_out(
     context: rclpy.Context, clock: list[float]
 ) -> None:
     plant = Paced(context)
-    assert plant._pace is not None and plant._pace.timer_period_ns == round(1e9 / RATE)
+    assert plant._pace.timer is not None and plant._pace.timer.timer_period_ns == round(1e9 / RATE)
     for tick in range(1, 101):
         clock[0] = 1000.0 + tick / RATE
-        plant._on_tick()
+        plant._pace.on_tick()
         assert plant.period == tick
     assert plant.left_out() == 0
 
     # 1.0025 s in which the process did not run: 200 periods, and half of one
     clock[0] += 1.0 + 1.5 / RATE
-    plant._on_tick()
+    plant._pace.on_tick()
     assert plant.period == 101, "periods were run in a burst"
     assert plant.left_out() == 200
     # the next ones keep phase: a late one is followed by the next in its own time
     for tick in range(302, 402):
         clock[0] = 1000.0 + tick / RATE
-        plant._on_tick()
+        plant._pace.on_tick()
     assert plant.period == 201
     assert plant.left_out() == 200
     plant.destroy_node()
@@ -103,14 +108,31 @@ def test_the_pace_is_that_of_the_parameter_from_the_next_period_on(
     plant = Paced(context)
     (answer,) = plant.set_parameters([Parameter("real_time_factor", value=0.5 * FACTOR)])
     assert answer.successful, answer.reason
-    assert plant._pace is not None and plant._pace.timer_period_ns == round(2e9 / RATE)
+    assert plant._pace.timer is not None and plant._pace.timer.timer_period_ns == round(2e9 / RATE)
     for tick in range(1, 11):
         clock[0] = 1000.0 + 2.0 * tick / RATE
-        plant._on_tick()
+        plant._pace.on_tick()
     assert plant.period == 10 and plant.left_out() == 0
     (answer,) = plant.set_parameters([Parameter("real_time_factor", value=0.0)])
-    assert answer.successful and plant._pace is None
+    assert answer.successful and not plant._pace.running
     plant.destroy_node()
+
+
+def test_a_replay_too_leaves_out_lost_time(context: rclpy.Context, clock: list[float]) -> None:
+    bag = recording.read(REFERENCE)
+    replay = Replayer(bag, context=context, parameter_overrides=[Parameter("rate", value=1.0)])
+    assert replay.trigger_configure()
+    replay._set_pace(1.0)
+    for tick in range(1, 11):
+        clock[0] = 1000.0 + tick * bag.T_s
+        replay._pace.on_tick()
+    assert replay.sent == 10
+    clock[0] += 100.5 * bag.T_s
+    replay._pace.on_tick()
+    assert replay.sent == 11, "samples were sent in a burst"
+    (part,) = replay.diagnostics()
+    assert part.values["periods left out (wall clock)"] == 99
+    replay.destroy_node()
 
 
 def test_missed_periods_are_counted_and_published(start: Start, outside: Outside) -> None:

@@ -19,22 +19,19 @@ from mfpcc_msgs.msg import (
     LutDiagnostics,
     PhaseFeedback,
 )
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.timer import Timer
 
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE
 from pwm_node import compiled, spin
 from pwm_node.diagnostics import Level, Part
 from pwm_node.node import PwmNode
+from pwm_node.pace import Listeners, SteadyTimer
 from pwm_node.status import StatusPublisher
 from pwm_node.stops import Stops
 from pwm_node.wire import Wire, WireError
 
-_LOOK_EVERY = 0.01  # s
 _WATCH_EVERY = 0.1  # s
 _OVERRUNS = 10  # in a row are too many
 # A sample that is older by less than this has been overtaken; else the plant has begun anew.
@@ -58,7 +55,6 @@ class MfpccController(PwmNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("mfpcc_controller", TABLE, **options)
-        self._held: Timer | None = None
         self._told_fallen = False
         # Looks in a row without a new sample, and the latest one there was. They are counted in
         # looks and not by the clock, so that a controller that was itself held up blames nobody.
@@ -82,6 +78,7 @@ class MfpccController(PwmNode):
         self.period = -1
         self._command_out = self.create_loop_publisher(DutyCommand, "duty_command")
         self._lut_out = self.create_loop_publisher(LutDiagnostics, "lut_diagnostics")
+        self._listeners = Listeners(self, self._command_out, self._lut_out)
         self._feedback_in = self.create_loop_subscription(
             PhaseFeedback, "phase_feedback", self._on_feedback, start=_START_PLANT
         )
@@ -96,11 +93,8 @@ class MfpccController(PwmNode):
             QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self._stops = Stops(self, "the reference has been at zero")
-        self._watchdog = self.create_timer(
-            _WATCH_EVERY,
-            self._look_for_samples,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        self._watchdog = SteadyTimer(self, self._look_for_samples)
+        self._watchdog.start(_WATCH_EVERY)
 
     def _compile(self) -> None:
         """Compile the kernel, or load it, before a sample waits for it."""
@@ -140,8 +134,8 @@ class MfpccController(PwmNode):
 
     def cleanup(self) -> None:
         """Remove what is not on the loop."""
-        self._drop_held()
-        self.destroy_timer(self._watchdog)
+        self._listeners.stop()
+        self._watchdog.stop()
         self._stops.destroy()
         self.destroy_subscription(self._status_in)
         self.destroy_subscription(self._reference_in)
@@ -248,22 +242,11 @@ class MfpccController(PwmNode):
 
     def _heard(self) -> bool:
         """Whether everybody is there who must not miss the first answer; else hold the sample."""
-        recorders = self.values["recorders"]
-        if self._command_out.listeners > recorders and self._lut_out.listeners >= recorders:
-            self._drop_held()
+        if self._listeners.there:
+            self._listeners.stop()
             return True
-        if self._held is None:
-            self._held = self.create_timer(
-                _LOOK_EVERY,
-                lambda: self._on_feedback(self._feedback.to_bytes()),
-                clock=Clock(clock_type=ClockType.STEADY_TIME),
-            )
+        self._listeners.wait(lambda: self._on_feedback(self._feedback.to_bytes()))
         return False
-
-    def _drop_held(self) -> None:
-        if self._held is not None:
-            self.destroy_timer(self._held)
-            self._held = None
 
     # References and parameters --------------------------------------------------------------
 

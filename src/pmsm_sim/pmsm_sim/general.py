@@ -27,6 +27,7 @@ from pmsm_sim.bridge import (
 )
 from pmsm_sim.columns import FIRST_ENERGY, N_INTEGRATED, column
 from pmsm_sim.dc_link import begin_dc_link, charge, end_dc_link
+from pmsm_sim.frames import phases
 from pmsm_sim.inverter import begin_gates, leg_gate, remember_gates, switching_instants
 from pmsm_sim.machine import cogging
 from pmsm_sim.mechanics import begin_mechanics, end_mechanics, move
@@ -46,7 +47,6 @@ _MAX_EVENTS = 200
 # Largest electrical angle (rad) of one step; harmonics and saturation turn faster.
 _STEP_ANGLE = 0.06
 _STEP_ANGLE_FINE = 0.02
-_SQRT3_2 = 0.5 * math.sqrt(3.0)
 
 
 @kernel
@@ -195,9 +195,7 @@ def _oversample(par, st, work, t_0, t_1, k, i_abc, legs_out):
     while k < n and k * dt < t_1:
         _look(par, st, work, t_0, k * dt)
         el = st.electric
-        i_abc[3 * k] = el.i_alpha
-        i_abc[3 * k + 1] = -0.5 * el.i_alpha + _SQRT3_2 * el.i_beta
-        i_abc[3 * k + 2] = -0.5 * el.i_alpha - _SQRT3_2 * el.i_beta
+        i_abc[3 * k], i_abc[3 * k + 1], i_abc[3 * k + 2] = phases(el.i_alpha, el.i_beta)
         legs_out[k] = conducting_rails(st.bridge)
         k += 1
     return k

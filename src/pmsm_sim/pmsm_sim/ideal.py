@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 
+from pmsm_sim.frames import phases, stationary
 from pmsm_sim.inverter import leg_voltage, set_pattern
 from pmsm_sim.part import MOST_STEPS
 from pwm_node.compiled import kernel
@@ -26,8 +27,6 @@ MAX_STEP_ANGLE = 0.06
 # Up to these lengths of a step (in periods) order 3 and 4 are enough; beyond, it is 5.
 _ORDER_3 = 0.04
 _ORDER_4 = 0.2
-
-_SQRT3_2 = 0.5 * math.sqrt(3.0)
 
 
 @kernel
@@ -136,11 +135,8 @@ def _oversample(T_s, t_0, h, c, s, d, q, w, legs, k, i_abc, legs_out):
         i_d, i_q = _at(d, x), _at(q, x)
         c_t, s_t = small_rotation(_angle(w, h, x))
         c_k, s_k = c * c_t - s * s_t, s * c_t + c * s_t
-        i_alpha = c_k * i_d - s_k * i_q
-        i_beta = s_k * i_d + c_k * i_q
-        i_abc[3 * k] = i_alpha
-        i_abc[3 * k + 1] = -0.5 * i_alpha + _SQRT3_2 * i_beta
-        i_abc[3 * k + 2] = -0.5 * i_alpha - _SQRT3_2 * i_beta
+        i_alpha, i_beta = stationary(i_d, i_q, c_k, s_k)
+        i_abc[3 * k], i_abc[3 * k + 1], i_abc[3 * k + 2] = phases(i_alpha, i_beta)
         legs_out[k] = legs
         k += 1
     return k

@@ -8,16 +8,12 @@ not there in time is a missed period, which the inverter's policy handles.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from mfpcc_msgs.msg import DriveFault, DriveState, DriveStatus, DutyCommand, PhaseFeedback
 from mfpcc_msgs.srv import InjectFault
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
@@ -27,12 +23,12 @@ from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
 from pwm_node import compiled, spin
 from pwm_node.diagnostics import Level, Part
 from pwm_node.node import PwmNode
+from pwm_node.pace import Listeners, Pace, SteadyTimer
 from pwm_node.status import StatusPublisher
 from pwm_node.stops import Stops
 from pwm_node.units import RPM
 from pwm_node.wire import Wire, WireError
 
-_LOOK_EVERY = 0.01  # s
 _AT_ONCE = 1000  # periods without an answer
 # A sample is taken within this time (s), or a few more have come: a queue of ten takes them.
 _TAKEN_WITHIN = 5e-4
@@ -59,10 +55,8 @@ class PmsmSim(PwmNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("pmsm_sim", TABLE, **options)
-        self._begin: Timer | None = None
-        self._pace: Timer | None = None
-        self._rest: Timer | None = None
-        self._overruns = 0
+        self._pace = Pace(self, self._on_tick)
+        self._rest = SteadyTimer(self, self._advance)
         self._told_tick: tuple[float, int] | None = None
 
     # Life cycle -----------------------------------------------------------------------------
@@ -83,6 +77,7 @@ class PmsmSim(PwmNode):
         self._command_in = self.create_loop_subscription(
             DutyCommand, "duty_command", self._on_command, start=_START_CONTROLLER
         )
+        self._listeners = Listeners(self, self._feedback_out, self._state_out)
         self._rotor_every = max(round(self.values["pwm_frequency"] / _ROTOR_RATE), 1)
         self._clock_out = self.create_publisher(ClockMessage, "/clock", 10)
         self._rotor_out = self.create_publisher(JointState, "joint_states", 10)
@@ -112,24 +107,14 @@ class PmsmSim(PwmNode):
 
     def activate(self) -> None:
         """Let the commands reach the gates; the first time, begin with period 0."""
-        if self.period < 0 and self._begin is None:
-            self._begin = self.create_timer(
-                _LOOK_EVERY, self._begin_when_heard, clock=Clock(clock_type=ClockType.STEADY_TIME)
-            )
+        if self.period < 0:
+            self._listeners.wait(self._begin)
         self.core.block(False)
         self.tell_status()
 
-    def _begin_when_heard(self) -> None:
-        """Begin once everybody is there who must not miss the first sample."""
-        recorders = self.values["recorders"]
-        if self._feedback_out.listeners > recorders and self._state_out.listeners >= recorders:
-            self._drop_begin()
-            self._advance()
-
-    def _drop_begin(self) -> None:
-        if self._begin is not None:
-            self.destroy_timer(self._begin)
-            self._begin = None
+    def _begin(self) -> None:
+        """Begin with period 0: everybody is there who must not miss its sample."""
+        self._advance()
 
     def deactivate(self) -> None:
         """Block the gates from the next period on."""
@@ -139,9 +124,9 @@ class PmsmSim(PwmNode):
 
     def cleanup(self) -> None:
         """Stop the clock of the paced mode."""
-        self._set_pace(None)
-        self._drop_begin()
-        self._drop_rest()
+        self._pace.stop()
+        self._listeners.stop()
+        self._rest.stop()
         self._stops.destroy()
         self.destroy_service(self._inject_in)
         self._status.destroy()
@@ -168,7 +153,7 @@ class PmsmSim(PwmNode):
                 throttle_duration_sec=1.0,
             )
         if self.values["real_time_factor"] > 0.0:
-            if self._pace is None:
+            if not self._pace.running:
                 self._set_pace(self.values["real_time_factor"])
         else:
             self._advance()
@@ -187,20 +172,13 @@ class PmsmSim(PwmNode):
         """
         for _ in range(_AT_ONCE):
             if not self._unanswered() or self.finished.done():
-                self._drop_rest()
+                self._rest.stop()
                 return
             if self._injector["copies"] > 0:
                 break
             self._run_period()
-        if self._rest is None:
-            self._rest = self.create_timer(
-                _TAKEN_WITHIN, self._advance, clock=Clock(clock_type=ClockType.STEADY_TIME)
-            )
-
-    def _drop_rest(self) -> None:
-        if self._rest is not None:
-            self.destroy_timer(self._rest)
-            self._rest = None
+        if not self._rest.running:
+            self._rest.start(_TAKEN_WITHIN)
 
     def _run_period(self) -> None:
         """Run the next period and publish its sample."""
@@ -263,35 +241,22 @@ class PmsmSim(PwmNode):
             self._advance()  # back in lock-step, and the command for the next period is there
 
     def _set_pace(self, factor: float | None) -> None:
-        if self._pace is not None:
-            self.destroy_timer(self._pace)
-            self._pace = self._told_tick = None
+        self._pace.stop()
+        self._told_tick = None
         if factor is not None:
-            self._tick_s = 1.0 / (self.values["pwm_frequency"] * factor)
-            self._paced_from = self._ticked_at = time.monotonic(), self.period
-            self._next_tick = self._paced_from[0] + self._tick_s
-            self._pace = self.create_timer(
-                self._tick_s, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME)
-            )
+            self._pace.start(1.0 / (self.values["pwm_frequency"] * factor))
+            self._paced_from = self._ticked_at = self._pace.ticked_at, self.period
 
     def _on_tick(self) -> None:
         """Begin a period, whether or not its command is there."""
-        now = time.monotonic()
-        late = now - self._next_tick
-        self._next_tick += self._tick_s
-        if late > self._tick_s:
-            # whole periods of wall time went by: leave them out and keep phase, no catching up
-            skipped = int(late / self._tick_s)
-            self._overruns += skipped
-            self._next_tick += skipped * self._tick_s
         self._advance()
-        self._ticked_at = now, self.period
+        self._ticked_at = self._pace.ticked_at, self.period
         self.missed_periods = int(self.core.st["missed"][0])
 
     @property
     def pace(self) -> dict[str, float] | None:
         """The `real_time_factor` asked for, and the one achieved since; None in lock-step."""
-        if self._pace is None:
+        if not self._pace.running:
             return None
         return {
             "asked": self.values["real_time_factor"],
@@ -363,12 +328,12 @@ class PmsmSim(PwmNode):
             {
                 "missed commands": int(st["missed"]),
                 "refused commands": int(st["refused"]),
-                "periods left out (wall clock)": self._overruns,
+                "periods left out (wall clock)": self._pace.left_out,
                 "speed (r/min)": float(st["w_M"]) / RPM,
                 "load torque (N m)": self.values["load_torque"],
             },
         )
-        if self._pace is not None:
+        if self._pace.running:
             yield self._pace_part()
         if self._injects:
             lines = self.core.injections()

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from pmsm_sim.columns import column
+from pmsm_sim.frames import phases, stationary
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.noise import normal
 from pmsm_sim.part import MOST_STEPS, Part
@@ -21,7 +22,6 @@ from pmsm_sim.protection import allowed_current
 from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 
-_SQRT3_2 = 0.5 * math.sqrt(3.0)
 _TWO_PI = 2.0 * math.pi
 
 _I_F_ALPHA, _I_F_BETA = column("i_f_alpha"), column("i_f_beta")
@@ -205,8 +205,7 @@ def wrapped(angle):
 def begin_low_pass(par, st, y, c, s, fresh):
     """State at the start of a period; c and s are cosine and sine of the electrical angle."""
     if fresh:
-        st.i_f_alpha = c * st.i_d - s * st.i_q
-        st.i_f_beta = s * st.i_d + c * st.i_q
+        st.i_f_alpha, st.i_f_beta = stationary(st.i_d, st.i_q, c, s)
     y[_I_F_ALPHA], y[_I_F_BETA] = st.i_f_alpha, st.i_f_beta
 
 
@@ -261,11 +260,8 @@ def sample(par, st, c, s, fb):
     if st.general_before:
         i_alpha, i_beta = st.i_sampled[0], st.i_sampled[1]
     else:
-        i_alpha = c * st.i_d - s * st.i_q
-        i_beta = s * st.i_d + c * st.i_q
-    i_a = i_alpha
-    i_b = -0.5 * i_alpha + _SQRT3_2 * i_beta
-    i_c = -0.5 * i_alpha - _SQRT3_2 * i_beta
+        i_alpha, i_beta = stationary(st.i_d, st.i_q, c, s)
+    i_a, i_b, i_c = phases(i_alpha, i_beta)
     angle = st.theta_M
     if par.sensors:
         i_a = par.current_gain[0] * i_a + par.current_offset[0]

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -24,9 +23,6 @@ import numpy as np
 import rclpy.utilities
 import yaml
 from mfpcc_msgs.msg import DriveState, DutyCommand, PhaseFeedback
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.timer import Timer
 
 from mfpcc_experiments.bags import BagError, Recording, recording
 from mfpcc_experiments.reporting.compare import write_whole
@@ -34,10 +30,10 @@ from pwm_node import spin
 from pwm_node.diagnostics import Part
 from pwm_node.loop_topics import LoopPublisher
 from pwm_node.node import PwmNode
+from pwm_node.pace import Listeners, Pace
 from pwm_node.parameters import Parameter, Table
 from pwm_node.wire import HEADER, Wire, WireError, fixed_size
 
-_LOOK_EVERY = 0.01  # s
 _START_CONTROLLER = "ros2 run mfpcc_controller controller"
 
 TABLE = Table(
@@ -105,8 +101,7 @@ class Replayer(PwmNode):
         wanted, there = bag.feedback["period"] + 1, bag.command["period"]
         row = np.where(np.isin(wanted, there), np.searchsorted(there, wanted), -1)
         self._answer_row = row.tolist()  # of the recorded commands; -1: none
-        self._begin: Timer | None = None
-        self._pace: Timer | None = None
+        self._pace = Pace(self, self._on_tick)
 
     # Life cycle -----------------------------------------------------------------------------
 
@@ -123,39 +118,27 @@ class Replayer(PwmNode):
         self._state_out = (
             self.create_loop_publisher(DriveState, "drive_state") if len(self._bag.state) else None
         )
+        others = () if self._state_out is None else (self._state_out,)
+        self._listeners = Listeners(self, self._feedback_out, *others)
         self._command_in = self.create_loop_subscription(
             DutyCommand, "duty_command", self._on_command, start=_START_CONTROLLER
         )
 
     def activate(self) -> None:
         """Begin, or go on, once everybody is there who must not miss the first sample."""
-        self._begin = self.create_timer(
-            _LOOK_EVERY, self._begin_when_heard, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self._listeners.wait(self._begin)
 
-    def _begin_when_heard(self) -> None:
-        recorders = self.values["recorders"]
-        if self._feedback_out.listeners <= recorders or (
-            self._state_out is not None and self._state_out.listeners < recorders
-        ):
-            return
-        self._drop(self._begin)
-        self._begin = None
+    def _begin(self) -> None:
         if not self._waiting:
             self._publish_next()  # the pace begins with the answer
 
     def deactivate(self) -> None:
         """Hold."""
-        self._drop(self._begin)
-        self._begin = None
-        self._set_pace(0.0)
+        self._listeners.stop()
+        self._pace.stop()
 
     def cleanup(self) -> None:
         """Nothing but the topics of the loop was made."""
-
-    def _drop(self, timer: Timer | None) -> None:
-        if timer is not None:
-            self.destroy_timer(timer)
 
     # The period -----------------------------------------------------------------------------
 
@@ -204,15 +187,15 @@ class Replayer(PwmNode):
         self._answered = row + 1
         self.answers += 1
         self._compare(row)
-        if self._waiting or self._begin is not None or not self.active:
+        if self._waiting or self._listeners.awaited or not self.active:
             return
         if self._next == len(self._period):
             self.awaited = None
             self._set_pace(0.0)
             self.finish()
-        elif self._pace is None and self.values["rate"]:
+        elif not self._pace.running and self.values["rate"]:
             self._set_pace(self.values["rate"])
-        elif self._pace is None:
+        elif not self._pace.running:
             self._publish_next()
 
     def _compare(self, row: int) -> None:
@@ -242,21 +225,16 @@ class Replayer(PwmNode):
 
     def parameters_changed(self, changes: Mapping[str, Any]) -> None:
         """Follow a change of the pace."""
-        if "rate" not in changes or self._pace is None:
+        if "rate" not in changes or not self._pace.running:
             return  # otherwise the next answer sees to it
         self._set_pace(changes["rate"])
         if not changes["rate"] and not self._waiting:
             self._publish_next()
 
     def _set_pace(self, rate: float) -> None:
-        self._drop(self._pace)
-        self._pace = None
+        self._pace.stop()
         if rate > 0.0:
-            self._tick_s = self._bag.T_s / rate
-            self._next_tick = time.monotonic() + self._tick_s
-            self._pace = self.create_timer(
-                self._tick_s, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME)
-            )
+            self._pace.start(self._bag.T_s / rate)
 
     def _on_tick(self) -> None:
         """Publish a sample, whether or not the one before it was answered."""
@@ -274,7 +252,11 @@ class Replayer(PwmNode):
         yield Part(
             "replay",
             f"{self.sent} of {len(self._period)} samples",
-            values={"answered": self.answers, "equal to the recorded command": self.equal},
+            values={
+                "answered": self.answers,
+                "equal to the recorded command": self.equal,
+                "periods left out (wall clock)": self._pace.left_out,
+            },
         )
 
     @property

@@ -1,0 +1,150 @@
+"""When periods begin: once everybody listens who must not miss the first, and by the wall clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.timer import Timer
+
+from pwm_node.loop_topics import LoopPublisher
+
+if TYPE_CHECKING:
+    from pwm_node.node import PwmNode
+
+_LOOK_EVERY = 0.01  # s
+
+
+class SteadyTimer:
+    """A timer of a node by the steady clock, which can be started and stopped.
+
+    Parameters
+    ----------
+    node : PwmNode
+        Whose executor calls.
+    callback : callable
+        Called each time.
+    """
+
+    def __init__(self, node: PwmNode, callback: Callable[[], None]) -> None:
+        self._node = node
+        self._callback = callback
+        self.timer: Timer | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether it is started."""
+        return self.timer is not None
+
+    def start(self, seconds: float) -> None:
+        """Call every so many seconds from now on."""
+        self.stop()
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.timer = self._node.create_timer(seconds, self._callback, clock=clock)
+
+    def stop(self) -> None:
+        """Call no more."""
+        if self.timer is not None:
+            self._node.destroy_timer(self.timer)
+            self.timer = None
+
+
+class Pace(SteadyTimer):
+    """Ticks of the wall clock, each for a period.
+
+    Whole ticks that went by while the process did not run are left out, with no catching up: the
+    next one keeps phase.
+
+    Parameters
+    ----------
+    node : PwmNode
+        As of `SteadyTimer`.
+    tick : callable
+        Called for each period.
+
+    Attributes
+    ----------
+    left_out : int
+        Periods left out since the start of the node.
+    ticked_at : float
+        Time of the latest tick, or of the start (s, steady clock).
+    """
+
+    def __init__(self, node: PwmNode, tick: Callable[[], None]) -> None:
+        super().__init__(node, self.on_tick)
+        self._tick = tick
+        self.left_out = 0
+        self.ticked_at = 0.0
+        self._seconds = self._next = 0.0
+
+    def start(self, seconds: float) -> None:
+        """Tick every so many seconds from now on."""
+        super().start(seconds)
+        self.ticked_at = time.monotonic()
+        self._seconds = seconds
+        self._next = self.ticked_at + seconds
+
+    def on_tick(self) -> None:
+        """Begin a period; the timer calls this."""
+        self.ticked_at = time.monotonic()
+        late = self.ticked_at - self._next
+        self._next += self._seconds
+        if late > self._seconds:
+            lost = int(late / self._seconds)
+            self.left_out += lost
+            self._next += lost * self._seconds
+        self._tick()
+
+
+class Listeners:
+    """Who must not miss the first message of a node's topics.
+
+    These are so many recorders as the parameter `recorders` says on each topic, and on the first
+    one somebody besides: who answers.
+
+    Parameters
+    ----------
+    node : PwmNode
+        The node that publishes.
+    first, *others : LoopPublisher
+        Its topics of the loop.
+    """
+
+    def __init__(self, node: PwmNode, first: LoopPublisher, *others: LoopPublisher) -> None:
+        self._node = node
+        self._first = first
+        self._others = others
+        self._then: Callable[[], None] = lambda: None
+        self._timer = SteadyTimer(node, self._look)
+
+    @property
+    def there(self) -> bool:
+        """Whether all are there."""
+        recorders = self._node.values["recorders"]
+        assert isinstance(recorders, int)
+        return self._first.listeners > recorders and all(
+            publisher.listeners >= recorders for publisher in self._others
+        )
+
+    @property
+    def awaited(self) -> bool:
+        """Whether somebody is waited for."""
+        return self._timer.running
+
+    def wait(self, then: Callable[[], None]) -> None:
+        """Call `then` once, when all are there."""
+        if not self.awaited:
+            self._then = then
+            self._timer.start(_LOOK_EVERY)
+
+    def stop(self) -> None:
+        """Wait no more."""
+        self._timer.stop()
+
+    def _look(self) -> None:
+        if self.there:
+            self.stop()
+            self._then()
