@@ -12,6 +12,7 @@ import sys
 
 from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
 
+from pwm_node import stamps
 from pwm_node.compiled import cache_folder, direct
 from pwm_node.wire import Wire
 
@@ -27,6 +28,7 @@ def plant() -> None:
     waveforms = (state.tail["i_abc_oversampled"], state.tail["legs_oversampled"])
     direct(latch, core.st, Wire(DutyCommand).fixed)
     direct(advance, core.par, core.st, Wire(PhaseFeedback).fixed, state.fixed, *waveforms)
+    stamps.begin(0, float(TABLE.defaults()["pwm_frequency"]))  # as `drive_status` is stamped
 
 
 def controller() -> None:
