@@ -28,7 +28,7 @@ def plant() -> None:
     waveforms = (state.tail["i_abc_oversampled"], state.tail["legs_oversampled"])
     direct(latch, core.st, Wire(DutyCommand).fixed)
     direct(advance, core.par, core.st, Wire(PhaseFeedback).fixed, state.fixed, *waveforms)
-    stamps.begin(0, float(TABLE.defaults()["pwm_frequency"]))  # as `drive_status` is stamped
+    stamps.begin(0, 10_000.0)  # as `drive_status` is stamped
 
 
 def controller() -> None:
