@@ -137,14 +137,14 @@ def _say_once(text: str) -> None:
 
 def _folder(function: Callable[..., Any], digest: str) -> Path | None:
     """Return the cache folder of a kernel, or None where nothing can be kept."""
-    if not Path(function.__code__.co_filename).is_file():
+    if _source(function.__code__.co_filename) is None:
         return None  # typed at a prompt
     name = f"{function.__module__}.{function.__qualname__}".replace("<locals>", "_")
     folder = cache_folder() / f"{name}-{digest[:16]}"
     try:
-        fresh = not folder.is_dir()
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
+        fresh = not _touched(folder)
+        if fresh:
+            folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         _say_once(
             f"compiled kernels cannot be kept in {folder.parent} ({error.strerror}), so each start "
@@ -154,6 +154,24 @@ def _folder(function: Callable[..., Any], digest: str) -> Path | None:
     if fresh:
         _prune(folder.parent, name)
     return folder
+
+
+def _touched(folder: Path) -> bool:
+    """Note that a folder is in use; False if there is none."""
+    try:
+        os.utime(folder)
+    except FileNotFoundError:
+        return False
+    return True
+
+
+@functools.cache
+def _source(path: str) -> bytes | None:
+    """Content of a file of kernels, which has many of them; None if there is no such file."""
+    try:
+        return Path(path).read_bytes()
+    except OSError:
+        return None
 
 
 def _prune(parent: Path, name: str) -> None:
@@ -173,10 +191,7 @@ def _digest(function: Callable[..., Any]) -> str:
     if known is not None:
         return str(known)
     parts = hashlib.sha256(f"{numba.__version__} {np.__version__} {sys.version_info[:2]}".encode())
-    try:
-        parts.update(Path(function.__code__.co_filename).read_bytes())
-    except OSError:
-        parts.update(function.__code__.co_code)
+    parts.update(_source(function.__code__.co_filename) or function.__code__.co_code)
     for name, value in sorted(_references(function), key=lambda item: item[0]):
         parts.update(_frozen(name, value, function))
     return parts.hexdigest()
