@@ -14,6 +14,8 @@ export PYTHON
 
 # What somebody set for another Python is not for the commands here. A sourced ROS 2 is found by it.
 unexport PYTHONHOME PYTHONSTARTUP PYTHONOPTIMIZE
+# Without bytecode kept, each of the many processes that a run starts compiles all it imports.
+unexport PYTHONDONTWRITEBYTECODE
 ifndef ROS_DISTRO
 unexport PYTHONPATH
 endif
@@ -37,9 +39,9 @@ demo: build  ## one experiment with three schemes, recorded and compared: out/de
 	    --out out/demo --force
 
 .PHONY: test
-test:  ## all tests; with ARGS='-k wire' those that you name
+test:  ## all tests, two at a time; with ARGS='-k wire' those that you name
 	@$(SET_UP) workspace development
-	$(IN_ENVIRONMENT) python -m pytest $(ARGS)
+	$(IN_ENVIRONMENT) python -m pytest --numprocesses 2 --dist worksteal $(ARGS)
 
 .PHONY: bench
 bench:  ## every speed figure, beside its reference, measured now
