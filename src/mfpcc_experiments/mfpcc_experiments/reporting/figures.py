@@ -120,6 +120,7 @@ def save(figure: Figure, path: Path) -> Path:
     """
     for ending, metadata in FORMATS.items():
         figure.savefig(path.with_name(path.name + ending), metadata=metadata)
+        figure.set_layout_engine("none")  # all stands where the first put it
     return path.with_name(f"{path.name}.png")
 
 
