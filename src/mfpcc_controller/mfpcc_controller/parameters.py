@@ -45,7 +45,7 @@ TABLE = Table(
         Parameter(
             "fallback_scheme",
             "pi_foc",
-            "Who takes over in the same period when the scheme fails",
+            "Scheme that takes over in the same period when the chosen one fails",
             choices=SCHEMES,
         ),
         Parameter(
@@ -117,8 +117,8 @@ TABLE = Table(
         Parameter(
             "mtpa",
             False,
-            "Maximum torque per ampere: the speed loop's torque with the smallest current, i_d_ref "
-            "added to it (salient machines)",
+            "Maximum torque per ampere: the speed loop gives its torque with the smallest "
+            "current, to which i_d_ref is added (salient machines)",
         ),
         Parameter(
             "field_weakening",
@@ -151,8 +151,9 @@ TABLE = Table(
         Parameter(
             "overmodulation",
             "scale",
-            "Dwell times that do not fit into the period: scaled (the paper), or the point of the "
-            "voltage hexagon nearest to the wish",
+            "What happens to dwell times that do not fit into the period: they are scaled (the "
+            "paper), or become those of the point of the voltage hexagon nearest to the wanted "
+            "voltage (project)",
             choices=OVERMODULATIONS,
         ),
         *schemes.PARAMETERS,
@@ -160,7 +161,7 @@ TABLE = Table(
         Parameter(
             "diagnostics_decimation",
             1,
-            "lut_diagnostics is published every so many periods; 0: never",
+            "lut_diagnostics is published once in this number of periods; 0: never",
             minimum=0,
             maximum=1_000_000,
             read_only=True,

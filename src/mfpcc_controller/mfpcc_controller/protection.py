@@ -55,7 +55,7 @@ FAULTS = Faults(
         threshold=Parameter(
             "fault.overcurrent",
             1.5,
-            "Current amplitude that trips, over the motor's current limit",
+            "Current amplitude that trips, divided by the motor's current limit",
             minimum=0.1,
             maximum=100.0,
         ),
@@ -67,7 +67,7 @@ FAULTS = Faults(
         threshold=Parameter(
             "fault.current_sum",
             0.083,
-            "Sum of the phase currents (filtered, 1 ms) that trips, over the current limit",
+            "Sum of the phase currents (filtered, 1 ms) that trips, divided by the current limit",
             minimum=1e-3,
             maximum=100.0,
         ),
@@ -79,8 +79,8 @@ FAULTS = Faults(
         threshold=Parameter(
             "fault.encoder_jump",
             0.05,
-            "Step of the angle from sample to sample that trips, beyond 1.5 times top speed; a "
-            "coarse encoder has steps of its own",
+            "Step of the angle from sample to sample that trips, on top of what 1.5 times top "
+            "speed allows; it has to be above the step of a coarse encoder",
             unit="rad",
             minimum=0.0,
             maximum=3.2,
@@ -93,7 +93,7 @@ FAULTS = Faults(
         threshold=Parameter(
             "fault.overspeed",
             1.2,
-            "Speed that trips, over the motor's top speed",
+            "Speed that trips, divided by the motor's top speed",
             minimum=0.1,
             maximum=100.0,
         ),
@@ -110,7 +110,8 @@ FAULTS = Faults(
         threshold=Parameter(
             "fault.prediction_error",
             0.25,
-            "Prediction error at which another scheme takes over, over the current limit",
+            "Prediction error at which the fallback scheme takes over, divided by the current "
+            "limit",
             minimum=1e-3,
             maximum=100.0,
         ),
@@ -154,7 +155,7 @@ PARAMETERS = (
     Parameter(
         "fault.prediction_time",
         5e-3,
-        "How long every prediction has to be that wrong",
+        "Time for which every prediction has to exceed 'fault.prediction_error'",
         unit="s",
         minimum=1e-4,
         maximum=10.0,

@@ -37,7 +37,7 @@ def generate_launch_description() -> LaunchDescription:
                 "composed",
                 default_value="true",
                 choices=["true", "false"],
-                description="Both nodes in one process, the fast way, or each in its own",
+                description="Both nodes in one process, which is faster, or each in its own",
             ),
             DeclareLaunchArgument(
                 "namespace", default_value="", description="Namespace of all nodes, e.g. axis1"
@@ -46,7 +46,7 @@ def generate_launch_description() -> LaunchDescription:
                 "parameters",
                 default_value="",
                 description="Parameter file, with the nodes' names as keys, e.g. of "
-                "`ros2 param dump`; the arguments here go before it",
+                "`ros2 param dump`; the other arguments take precedence over it",
             ),
             DeclareLaunchArgument(
                 "record",
@@ -56,8 +56,8 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "black_box",
                 default_value="",
-                description="Folder where the last moments before each fault go. Not given: "
-                f"{DIRECTORY} of a composed drive, none of one in two processes",
+                description="Folder for the bags that are written at faults. Not given: "
+                f"{DIRECTORY} for a composed drive, none for a drive in two processes",
             ),
             *(DeclareLaunchArgument(n, default_value="", description=about(n)) for n in PARAMETERS),
             OpaqueFunction(function=drive),

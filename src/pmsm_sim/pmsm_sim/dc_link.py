@@ -66,7 +66,7 @@ PARAMETERS = (
     Parameter(
         "dc_link.grid_resistance",
         0.5,
-        "Resistance of what lies in series with the rectifier",
+        "Resistance in series with the rectifier",
         unit="ohm",
         minimum=1e-3,
         maximum=1e3,
@@ -82,7 +82,7 @@ PARAMETERS = (
     Parameter(
         "dc_link.chopper_on",
         380.0,
-        "DC-link voltage at which the chopper goes on, looked at once in a period",
+        "DC-link voltage at which the chopper goes on, checked once per period",
         unit="V",
         minimum=1.0,
         maximum=5_000.0,

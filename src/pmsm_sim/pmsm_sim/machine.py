@@ -80,7 +80,7 @@ PARAMETERS = (
     Parameter(
         "drift.resistance",
         1.0,
-        "Stator resistance over that of the motor file",
+        "Stator resistance divided by that of the motor file",
         minimum=0.01,
         maximum=100.0,
         also=(
@@ -91,7 +91,7 @@ PARAMETERS = (
     Parameter(
         "drift.flux",
         1.0,
-        "Magnet flux over that of the motor file or flux map",
+        "Magnet flux divided by that of the motor file or flux map",
         minimum=0.0,
         maximum=10.0,
         also=(

@@ -69,7 +69,7 @@ PARAMETERS = (
     Parameter(
         "load.quadratic",
         0.0,
-        "Load torque over the square of the speed (fan, pump)",
+        "Load torque divided by the square of the speed (fan, pump)",
         unit="N m s^2",
         minimum=0.0,
         maximum=10.0,
@@ -77,7 +77,7 @@ PARAMETERS = (
     Parameter(
         "load.profile",
         [0.0, 0.0],
-        "Load torque over time, added to the others: time (s) and torque (N m) in turns, "
+        "Load torque over time, added to the others: time (s) and torque (N m) alternate, with "
         "straight lines between the points",
         read_only=True,
     ),

@@ -55,7 +55,7 @@ TABLE = Table(
         Parameter(
             "state_decimation",
             1,
-            "drive_state is published every so many periods; 0: never",
+            "drive_state is published once in this number of periods; 0: never",
             minimum=0,
             maximum=1_000_000,
             read_only=True,
@@ -63,7 +63,7 @@ TABLE = Table(
         Parameter(
             "periods",
             0,
-            "End after so many periods; 0: run until stopped",
+            "Number of periods after which the node ends; 0: it runs until it is stopped",
             minimum=0,
             maximum=2**53,
             read_only=True,

@@ -32,7 +32,8 @@ FAULTS = Faults(
         threshold=Parameter(
             "inverter.command_loss_limit",
             10,
-            "So many periods in a row without a command block the gates until the trip is cleared",
+            "Number of periods in a row without a command that blocks the gates until the trip "
+            "is cleared",
             minimum=1,
             maximum=1_000_000,
         ),
@@ -44,7 +45,7 @@ FAULTS = Faults(
         threshold=Parameter(
             "fault.overcurrent",
             1.5,
-            "Current amplitude that trips, over the motor's current limit",
+            "Current amplitude that trips, divided by the motor's current limit",
             minimum=0.1,
             maximum=100.0,
         ),
@@ -56,7 +57,7 @@ FAULTS = Faults(
         threshold=Parameter(
             "fault.dc_overvoltage",
             1.318,
-            "DC-link voltage that trips, over the motor's nominal one (seed_750: 410 V)",
+            "DC-link voltage that trips, divided by the motor's nominal voltage (seed_750: 410 V)",
             minimum=1.0,
             maximum=100.0,
         ),
@@ -68,7 +69,8 @@ FAULTS = Faults(
         threshold=Parameter(
             "fault.dc_undervoltage",
             0.643,
-            "DC-link voltage below which it trips, over the motor's nominal one (seed_750: 200 V)",
+            "DC-link voltage below which it trips, divided by the motor's nominal voltage "
+            "(seed_750: 200 V)",
             minimum=0.0,
             maximum=1.0,
         ),
@@ -94,8 +96,8 @@ PARAMETERS = (
     Parameter(
         "fault.derating_temperature",
         100.0,
-        "Winding temperature from which the inverter allows less current, in proportion down "
-        "to none at 'fault.overtemperature'; the same value: it only trips",
+        "Winding temperature from which the inverter allows less current, in proportion down to "
+        "none at 'fault.overtemperature'; if both have the same value, it only trips",
         unit="degC",
         minimum=0.0,
         maximum=500.0,

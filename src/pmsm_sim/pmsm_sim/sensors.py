@@ -60,7 +60,7 @@ PARAMETERS = (
     Parameter(
         "sensor.adc_range",
         20.0,
-        "Largest current they can show, of each sign; beyond, they saturate",
+        "Largest current of either sign that the converters can show; beyond it they saturate",
         unit="A",
         minimum=0.001,
         maximum=1e4,
@@ -68,7 +68,7 @@ PARAMETERS = (
     Parameter(
         "sensor.sampling_lead",
         0.0,
-        "The currents are sampled so long before the period begins, in periods",
+        "Time by which the currents are sampled before the period begins, in periods",
         minimum=0.0,
         maximum=1.0,
     ),
@@ -82,7 +82,7 @@ PARAMETERS = (
     Parameter(
         "sensor.encoder_offset",
         0.0,
-        "Angle that the encoder shows at zero",
+        "Angle that the encoder shows when the rotor is at zero",
         unit="rad",
         minimum=-6.3,
         maximum=6.3,

@@ -24,7 +24,8 @@ PARAMETERS = (
     Parameter(
         "drift.temperature",
         20.0,
-        "Temperature of winding and magnets without copper loss; the motor file holds at 20",
+        "Temperature of winding and magnets without copper loss; the values of the motor file "
+        "hold at 20",
         unit="degC",
         minimum=-60.0,
         maximum=250.0,
@@ -40,7 +41,7 @@ PARAMETERS = (
     Parameter(
         "drift.thermal_resistance",
         0.0,
-        "Rise of the temperature over the copper loss",
+        "Rise of the temperature divided by the copper loss",
         unit="K/W",
         minimum=0.0,
         maximum=100.0,

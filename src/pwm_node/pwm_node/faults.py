@@ -21,7 +21,7 @@ from pwm_node.parameters import Parameter
 REACT = Parameter(
     "fault.react",
     True,
-    "Whether a fault takes the gates off; false only to see what happens then",
+    "Whether a fault blocks the gates; false is only meant to show what happens without protection",
 )
 
 

@@ -28,7 +28,10 @@ from pwm_node.loop_topics import LoopPublisher, LoopSubscription
 from pwm_node.parameters import Parameter, ParameterError, Table, Value
 
 AUTOSTART = Parameter(
-    "autostart", True, "Configure and activate at start, without being told to", read_only=True
+    "autostart",
+    True,
+    "Whether the node configures and activates itself when it starts",
+    read_only=True,
 )
 
 _WATCH_PERIOD = 0.05  # s

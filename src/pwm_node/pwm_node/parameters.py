@@ -306,7 +306,8 @@ PWM_FREQUENCY = Parameter(
 RECORDERS = Parameter(
     "recorders",
     0,
-    "So many recorders are awaited before the first period, so that they miss nothing",
+    "Number of recorders that the node waits for before the first period, so that they miss "
+    "nothing",
     minimum=0,
     maximum=100,
     read_only=True,

@@ -48,7 +48,7 @@ PARAMETERS = (
     Parameter(
         "mfpcc.u_min",
         20.0,
-        "A voltage change smaller than this teaches mfpcc (linear) no gain",
+        "Smallest change of the voltage from which mfpcc learns a gain (mfpcc.update: linear)",
         unit="V",
         minimum=0.0,
         maximum=1e3,
@@ -56,7 +56,8 @@ PARAMETERS = (
     Parameter(
         "mfpcc.refresh",
         50,
-        "A vector not applied for so many periods is applied for one (last_refresh)",
+        "Number of periods without a vector after which it is applied for one period "
+        "(mfpcc.update: last_refresh)",
         minimum=7,
         maximum=100_000,
     ),

@@ -28,7 +28,7 @@ PARAMETERS = (
     Parameter(
         "mfpcc_two_vector.u_min",
         50.0,
-        "A voltage change smaller than this teaches mfpcc_two_vector no gain",
+        "Smallest change of the voltage from which mfpcc_two_vector learns a gain",
         unit="V",
         minimum=0.0,
         maximum=1e3,

@@ -41,7 +41,7 @@ TABLE = Table(
         Parameter(
             "rate",
             0.0,
-            "Speed of the replay over that of the recording; 0: as fast as the answers come",
+            "Speed of the replay divided by that of the recording; 0: as fast as the answers come",
             minimum=0.0,
             maximum=1e3,
         ),

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 
-@click.command(short_help="A recording as a CSV, Parquet or MATLAB file.")
+@click.command(short_help="Write a recording as a CSV, Parquet or MATLAB file.")
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option(
     "--format",

@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     show_default=True,
     metavar="|".join(ENGINES),
     shell_complete=completion.names(*ENGINES),
-    help="The same plant and schemes without ROS, or real nodes on a real graph.",
+    help="Real nodes on a real graph, or the same plant and schemes without ROS.",
 )
 @click.option("--brief", is_flag=True, help="Show only the cases that were not survived.")
 @click.option("--no-control", is_flag=True, help="Leave out the negative control.")
 def command(unit: str, engine: str, brief: bool, no_control: bool) -> int:
-    """Inject every fault into the running drive, judged by the truth in the plant.
+    """Inject every fault into the running drive, and judge it by the truth in the plant.
 
-    Exit code 1 if a case was not survived, or if the negative control (the same faults with the
-    protection switched off) shows no damage.
+    The exit code is 1 if a case was not survived, or if the negative control (the same faults
+    with the protection switched off) shows no damage.
     """
     from mfpcc_experiments.progress import progress_bar
     from mfpcc_experiments.proofs import faults

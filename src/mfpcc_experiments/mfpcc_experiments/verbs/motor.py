@@ -38,60 +38,82 @@ def _poles(ctx: click.Context, parameter: click.Parameter, text: str) -> int:
     return int(match.group(1))
 
 
-@click.command(short_help="From a data sheet to a motor file.")
-@click.option("--name", required=True, help="Name of the motor, and of its file.")
+@click.command(short_help="Make a motor file from a data sheet.")
+@click.option("--name", required=True, help="Name of the motor and of its file.")
 @click.option(
     "--poles",
     required=True,
     callback=_poles,
-    help="Number of poles (twice the pole pairs), or as '12N14P'.",
+    help="Number of poles (twice the pole pairs), or a code such as '12N14P'.",
 )
 @click.option(
-    "-R", "--resistance", required=True, callback=_quantity("resistance"), help="As '1.2 ohm'."
+    "-R",
+    "--resistance",
+    required=True,
+    callback=_quantity("resistance"),
+    help="Resistance, such as '1.2 ohm'.",
 )
 @click.option(
-    "-L", "--inductance", required=True, callback=_quantity("inductance"), help="As '0.56 mH'."
+    "-L",
+    "--inductance",
+    required=True,
+    callback=_quantity("inductance"),
+    help="Inductance, such as '0.56 mH'.",
 )
 @click.option(
     "--inductance-q",
     callback=_quantity("inductance"),
-    help="Of the q axis, if the sheet gives both; -L is of the d axis then.",
+    help="Inductance of the q axis, if the sheet gives both axes; -L is then that of the d axis.",
 )
 @click.option(
     "--per-phase",
     is_flag=True,
-    help="R and L are of one phase of the winding; without it, between two terminals.",
+    help="R and L are those of one phase; without this option they are between two terminals.",
 )
 @click.option(
     "--winding",
     default="star",
     show_default=True,
-    help="What a phase is, if a value is of a phase: star, or delta (between two terminals).",
+    help="Connection of the phases, for values that are per phase: star, or delta (a phase is "
+    "then between two terminals).",
 )
-@click.option("--kt", callback=_quantity("kt"), help="Torque constant, as '25.5 mNm/A'.")
+@click.option("--kt", callback=_quantity("kt"), help="Torque constant, such as '25.5 mNm/A'.")
 @click.option(
     "--kt-current",
     help="How the sheet counts current: rms, peak, or dc (block commutation: maxon, Faulhaber).  "
     "[default: as the unit says (Nm/Arms), else rms]",
 )
-@click.option("--ke", callback=_quantity("ke"), help="Voltage constant, as '51 V/krpm'.")
+@click.option("--ke", callback=_quantity("ke"), help="Voltage constant, such as '51 V/krpm'.")
 @click.option(
     "--ke-voltage",
-    help="How it counts voltage: ll-rms, ll-peak, phase-rms, phase-peak.  [default: between two "
-    "terminals, as the unit says (Vpk/krpm), else rms]",
+    help="How the sheet counts voltage: ll-rms, ll-peak, phase-rms, phase-peak.  [default: "
+    "between two terminals, as the unit says (Vpk/krpm), else rms]",
 )
-@click.option("--kv", callback=_quantity("kv"), help="Speed constant, as '374 rpm/V'.")
+@click.option("--kv", callback=_quantity("kv"), help="Speed constant, such as '374 rpm/V'.")
 @click.option(
-    "-J", "--inertia", required=True, callback=_quantity("inertia"), help="As '92.5 gcm2'."
+    "-J",
+    "--inertia",
+    required=True,
+    callback=_quantity("inertia"),
+    help="Inertia of the rotor, such as '92.5 gcm2'.",
 )
-@click.option("--torque", callback=_quantity("torque"), help="Rated torque, as '55.5 mNm'.")
-@click.option("--current", callback=_quantity("current"), help="Rated current, as '2.03 A'.")
-@click.option("--speed", callback=_quantity("speed"), help="Rated speed, as '2940 rpm'.")
-@click.option("--no-load-speed", callback=_quantity("speed"), help="At --voltage, as '4380 rpm'.")
+@click.option("--torque", callback=_quantity("torque"), help="Rated torque, such as '55.5 mNm'.")
+@click.option("--current", callback=_quantity("current"), help="Rated current, such as '2.03 A'.")
+@click.option("--speed", callback=_quantity("speed"), help="Rated speed, such as '2940 rpm'.")
 @click.option(
-    "--voltage", required=True, callback=_quantity("voltage"), help="DC-link voltage, as '12 V'."
+    "--no-load-speed",
+    callback=_quantity("speed"),
+    help="No-load speed at --voltage, such as '4380 rpm'.",
 )
-@click.option("--description", default="", help="One line for `mfpcc list`.")
+@click.option(
+    "--voltage",
+    required=True,
+    callback=_quantity("voltage"),
+    help="DC-link voltage, such as '12 V'.",
+)
+@click.option(
+    "--description", default="", help="Description in one line, which `mfpcc list` shows."
+)
 @click.option("--source", default="", help="Where the values come from.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Motor file to write (.yaml).")
 @click.option("--force", is_flag=True, help="Overwrite the file.")
@@ -105,11 +127,11 @@ def command(
     ke_voltage: str | None,
     **sheet: Any,
 ) -> None:
-    """From what a data sheet gives to the parameters used here, with the conversion shown.
+    """Convert the values of a data sheet to the parameters used here, and show how.
 
-    A number takes its unit with it, as it stands on the sheet: -R '1.2 ohm' -L 0.56mH
-    --ke '1,02 mV/min-1' --torque '180 oz-in'. A sheet that contradicts itself is
-    told so; then the first of kE, kT, kV counts, and the exit code is 1.
+    Type each number with its unit, as it stands on the sheet: -R '1.2 ohm' -L 0.56mH
+    --ke '1,02 mV/min-1' --torque '180 oz-in'. If the sheet contradicts itself, the command
+    says so and uses the first of kE, kT, kV; the exit code is then 1.
 
     \b
     mfpcc motor --name ec45_30w --poles 16 -R 1.2ohm -L 0.56mH --kt 25.5mNm/A --kt-current dc \\

@@ -47,9 +47,9 @@ def command(
     """Feed the recorded samples of BAG to schemes: what would they have predicted and commanded?
 
     The recording's own scheme must give its own commands again; that is checked first. A folder
-    then holds metrics.json and the figure. Open loop: what a scheme commands here does not act, so
-    there is no ripple and no THD to be told; for those, run the experiment. The exit code is 3
-    where the recorded drive did not do what was asked for, or a scheme gave no valid output.
+    then holds metrics.json and the figure. The loop is open: what a scheme commands here does not
+    act on the motor, so it has no ripple and no THD; for those, run the experiment. The exit code
+    is 3 if the recorded drive did not do what was asked for, or if a scheme gave no valid output.
     """
     from mfpcc_controller.parameters import SCHEMES, TABLE
     from mfpcc_experiments import notes

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mfpcc_experiments.paper.reproduce import Results, Statement
 
 
-@click.command(short_help="Every figure and number of the paper, ours beside the published.")
+@click.command(short_help="Make every figure and number of the paper, ours beside the published.")
 @click.option(
     "--figure",
     "figures",
@@ -43,11 +43,11 @@ if TYPE_CHECKING:
 )
 @click.option("--force", is_flag=True, help="Replace results that are there already.")
 def command(figures: tuple[str, ...], engine: str, out: Path, seed: int, force: bool) -> None:
-    """Run the paper's experiments, and hold what it says of them against what ours show.
+    """Run the paper's experiments, and compare what the paper says with our results.
 
     The folder then holds report.html, the figures, statements.json, metrics.json and all
     recordings. It takes a minute; with --engine ros two or three. The exit code is 3 where a run
-    did not do what it was to do: the notes say what, and its figures are not judged.
+    failed to do what it was meant to do: the notes say what, and its figures are not judged.
     """
     from mfpcc_experiments import notes
     from mfpcc_experiments.files import result_folder

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     shell_complete=completion.names(*ENGINES),
     help="Real nodes on a real graph, or the same plant and schemes without ROS.",
 )
-@click.option("--separate", is_flag=True, help="Plant and controller as two processes.")
+@click.option("--separate", is_flag=True, help="Run plant and controller in two processes.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     multiple=True,
     metavar="NAME=VALUE",
     shell_complete=completion.changes,
-    help="Another value than the experiment's for one of its keys or for a parameter of a node, "
+    help="Replace the experiment's value of one of its keys, or of a parameter of a node, "
     "such as duration=0.5 or mls.window=10; may be given several times.",
 )
 @click.option("--force", is_flag=True, help="Replace results that are there already.")

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 
-@click.command(short_help="Prove the simulated drive, with figures.")
+@click.command(short_help="Check the simulated drive, with figures.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -20,13 +20,16 @@ import click
     type=click.FloatRange(0.001, 10.0),
     default=0.2,
     show_default=True,
-    help="Time of the closed loop held against the independent integration, s.",
+    help="Simulated time (s) for which the closed loop is compared with an independent "
+    "integration.",
 )
-@click.option("--costs/--no-costs", default=True, help="Time each effect, too.")
+@click.option(
+    "--costs/--no-costs", default=True, help="Also measure the computing time of each effect."
+)
 def command(out: Path, duration: float, costs: bool) -> None:
-    """Hold the simulated drive against an independent integration and against theory.
+    """Check the simulated drive against an independent integration and against theory.
 
-    The exit code is 1 if a limit is not kept. Those of docs/validation.md are drawn with
+    The exit code is 1 if a limit is not kept. The figures of docs/validation.md are drawn with
     --out docs/validation.
     """
     from rich.console import Console
