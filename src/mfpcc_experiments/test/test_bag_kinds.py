@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Reader
 from synthetic_drive import CONFIG, messages
 
 from mfpcc_experiments import cli, notes
-from mfpcc_experiments.bags import BagError, BagWriter, bag_parts, recording
+from mfpcc_experiments.bags import BagError, BagWriter, bag_parts, recording, recover
 from mfpcc_experiments.bags.mcap_format import MAGIC
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, json_record
 from mfpcc_experiments.notes import Severity
@@ -374,3 +374,56 @@ def test_a_ragged_end_is_lost_and_told(metadata: dict[str, Any], tmp_path: Path)
     found = recording.read(bag_kinds.write(tmp_path / "b", [ragged], Kind(), metadata))
     assert found.lost_periods >= 18  # 41 to 58: a run may end before the last diagnostics
     assert "lut_diagnostics" in " ".join(warnings(found))
+
+
+@pytest.mark.parametrize("between", [b"", b"another recording"])
+def test_what_was_joined_to_a_recording_is_not_passed_over(between: bytes, tmp_path: Path) -> None:
+    half = len(MESSAGES) // 2
+    one = bag_kinds.write(tmp_path / "a", [MESSAGES[:half]], Kind(), METADATA) / "run_0.mcap"
+    two = bag_kinds.write(tmp_path / "b", [MESSAGES[half:]], Kind(), METADATA) / "run_0.mcap"
+    alone = len(recording.read(one).feedback)
+    joined = one.read_bytes() + between + two.read_bytes()
+    one.write_bytes(joined)
+    with pytest.raises(BagError, match="were files joined"):
+        recording.read(one.parent)
+    said = recover.recover(one.parent)
+    assert f"saved {half} messages" in said and "run_0.mcap.damaged" in said
+    assert one.with_name("run_0.mcap.damaged").read_bytes() == joined
+    assert len(recording.read(one.parent).feedback) == alone
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+@pytest.mark.parametrize("listed", [True, False])
+def test_a_number_that_the_parts_leave_out(missing: int, listed: bool, tmp_path: Path) -> None:
+    """Without the first one nothing else tells, if metadata.yaml is not there or not honest."""
+    third = len(MESSAGES) // 3
+    parts = [MESSAGES[:third], MESSAGES[third : 2 * third], MESSAGES[2 * third :]]
+    path = bag_kinds.write(tmp_path / "b", parts, Kind(), METADATA)
+    assert not warnings(recording.read(path))
+    (path / f"run_{missing}.mcap").unlink()
+    metadata = path / "metadata.yaml"
+    if listed:
+        metadata.write_text(metadata.read_text().replace(f"  - run_{missing}.mcap\n", ""))
+    else:
+        metadata.unlink()
+    assert "a part is missing" in " ".join(warnings(recording.read(path)))
+
+
+def test_time_stamps_that_contradict_the_configuration(tmp_path: Path) -> None:
+    other = {CONFIG_RECORD: json_record(CONFIG | {"T_s": 2.0 * CONFIG["T_s"]})}
+    found = recording.read(bag_kinds.write(tmp_path / "b", [MESSAGES], Kind(), other))
+    assert "200 us, and the time stamps say 100 us" in " ".join(warnings(found))
+
+
+@pytest.mark.parametrize("gone", ["lut_diagnostics", "drive_state"])
+@pytest.mark.parametrize("step", [0, 1])
+def test_a_topic_that_the_run_recorded_is_not_there(gone: str, step: int, tmp_path: Path) -> None:
+    parameters = {
+        "mfpcc_controller": {"diagnostics_decimation": step},
+        "pmsm_sim": {"state_decimation": step},
+    }
+    config = {CONFIG_RECORD: json_record(CONFIG | {"parameters": parameters})}
+    others = [m for m in MESSAGES if m[0] != gone]
+    path = bag_kinds.write(tmp_path / "b", [others], Kind(listed="missing"), config)
+    told = f"topic {gone} has no messages" in " ".join(warnings(recording.read(path)))
+    assert told == bool(step)

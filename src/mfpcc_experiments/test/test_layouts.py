@@ -97,7 +97,9 @@ def test_a_bag_from_before_a_field_was_added(
     for name in rows.dtype.names:
         if name != field:
             assert rows[name].tobytes() == others[name].tobytes(), name
-    (note,) = [n for n in found.notes if n.severity is Severity.WARNING]
+    note, *more = [n for n in found.notes if n.severity is Severity.WARNING]
+    assert len(more) == (field in ("enable", "gates_on"))
+    assert all(f"{field}, which is taken as on" in n.text for n in more)
     assert f"/{topic} was recorded before it had {field}; these take their defaults" in note.text
     if field == "derating":
         assert (rows[field] == 1.0).all()

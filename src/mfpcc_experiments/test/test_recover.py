@@ -183,3 +183,16 @@ def test_a_file_that_grows_meanwhile_is_left_alone(
     with pytest.raises(BagError, match="has changed meanwhile: is it being written"):
         recover.recover(path.parent)
     assert {x.name: x.read_bytes() for x in path.parent.iterdir()} == {"bag_0.mcap": old + b"more"}
+
+
+def test_a_part_that_is_missing_is_not_passed_over(tmp_path: Path) -> None:
+    third = len(MESSAGES) // 3
+    parts = [MESSAGES[:third], MESSAGES[third : 2 * third], MESSAGES[2 * third :]]
+    path = bag_kinds.write(tmp_path / "bag", parts, Kind())
+    (path / "run_0.mcap").unlink()
+    with pytest.raises(BagError, match=r"'run_0\.mcap', a part of the bag .* is missing"):
+        recover.recover(path)
+    cut(path / "run_2.mcap", 20)
+    said = recover.recover(path)
+    assert "saved" in said and "'run_0.mcap', a part of the bag" in said
+    assert any("a part is missing" in note.text for note in recording.read(path).notes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from mfpcc_controller.parameters import SCHEMES
 from mfpcc_experiments import cli
 from mfpcc_experiments.bags import Recording, recording
 from mfpcc_experiments.measuring import replay
+from mfpcc_experiments.notes import NOT_AS_ASKED
 from mfpcc_experiments.running import run
 from mfpcc_experiments.running.scenario import Scenario
 
@@ -215,6 +217,18 @@ def test_the_verb(
     assert (out / "replay.png").read_bytes()[1:4] == b"PNG"
     assert cli.run(line) == 1
     assert "--force" in capsys.readouterr().err
+
+
+def test_what_the_figures_leave_out_is_an_error_if_one_is_strict(
+    bags: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / "bag"
+    shutil.copytree(bags("mbpcc"), bag)
+    (bag / "stray.mcap").write_bytes(b"")
+    line = ["replay", str(bag), "--out", str(tmp_path / "out"), "--scheme", "mbpcc", "--force"]
+    assert cli.run(line) == 0
+    assert "stray.mcap in the folder is not a part of the bag" in capsys.readouterr().out
+    assert cli.run([*line, "--strict"]) == NOT_AS_ASKED
 
 
 def test_the_verb_fails_where_the_recording_is_not_reproduced(

@@ -109,11 +109,32 @@ def candidates(folder: Path) -> list[Path]:
 
 
 def _by_number(path: Path) -> tuple[int, str]:
+    return (_numbered(path)[1] or 0, path.name)
+
+
+def _numbered(path: Path) -> tuple[str, int | None]:
+    """Name of a bag and number of its part, from the name of a file."""
     stem = path.name
     for suffix in sorted(SUFFIXES, key=len, reverse=True):
         stem = stem.removesuffix(suffix)
     digits = re.search(r"_(\d{1,18})$", stem)
-    return (int(digits[1]) if digits else 0, path.name)
+    return (stem[: digits.start()], int(digits[1])) if digits else (stem, None)
+
+
+def _numbers_left_out(files: list[Path]) -> list[Note]:
+    """Whether the numbers of the parts, which begin with 0, leave one out: nothing else tells."""
+    numbers: dict[str, set[int]] = {}
+    for name, number in map(_numbered, files):
+        if number is not None:
+            numbers.setdefault(name, set()).add(number)
+    return [
+        warning(
+            f"the parts {name}_N are numbered up to {max(there)}, and there are only {len(there)} "
+            "of them: a part is missing"
+        )
+        for name, there in numbers.items()
+        if 1 < len(there) <= max(there)
+    ]
 
 
 def _of_file(path: Path) -> Parts:
@@ -134,12 +155,14 @@ def _of_folder(folder: Path) -> Parts:
         if not there:
             raise BagError(f"{folder}: no recording here (a bag is a folder with an .mcap file)")
         parts = Parts(_once(there))
+        parts.notes += _numbers_left_out(parts.files)
         if (folder / METADATA).exists():
             text = f"{METADATA} cannot be read; all {len(parts.files)} files in the folder count"
             parts.notes.append(warning(text))
         return parts
     files = [_found(folder, name) for name in listed]
     parts = Parts(files, message_counts=_counts(metadata), custom_data=_custom(metadata))
+    parts.notes += _numbers_left_out(files)
     others = [x.name for x in there if x not in files and not _is_twin(x, files)]
     if others:
         names = ", ".join(others[:_NAMED_MOST]) + (", ..." if len(others) > _NAMED_MOST else "")

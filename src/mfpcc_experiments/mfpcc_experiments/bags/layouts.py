@@ -46,8 +46,8 @@ _NEEDED = {
     "mfpcc_msgs/msg/LutDiagnostics": (),
     "mfpcc_msgs/msg/DriveState": (),
 }
-# A drive of which it was not recorded whether its gates are on is one whose gates are.
-_ON = ("enable", "gates_on")
+#: A drive of which it was not recorded whether its gates are on is read as one whose gates are.
+TAKEN_AS_ON = ("enable", "gates_on")
 
 
 class LayoutError(ValueError):
@@ -155,7 +155,7 @@ def convert(
     for name in dtype.names or ():
         if name in (layout.dtype.names or ()):
             rows[name] = recorded[name]
-        elif name in _ON:
+        elif name in TAKEN_AS_ON:
             rows[name] = True
         elif dtype[name].base.kind == "f" and not np.any(getattr(defaults, name)):
             rows[name] = np.nan  # no default was declared: it is not known

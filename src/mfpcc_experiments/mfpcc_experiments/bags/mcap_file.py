@@ -117,9 +117,20 @@ def _records(file: Any, size: int, path: Path) -> Iterator[Record]:
         crc = zlib.crc32(content, zlib.crc32(head, crc))
         yield Record(opcode, content, offset)
     # The footer and the magic close a file; without them the summary was cut.
-    file.seek(max(offset, size - len(MAGIC)))
-    if file.read() != MAGIC:
+    tail = RECORD_HEAD.size + FOOTER.size
+    footer_at = size - tail - len(MAGIC)
+    file.seek(max(offset, footer_at))
+    footer = file.read()
+    if footer[-len(MAGIC) :] != MAGIC:
         raise _unfinished(path)
+    begin, _, _ = FOOTER.unpack_from(footer, RECORD_HEAD.size) if footer_at >= offset else (-1,) * 3
+    # The summary, or else the footer, stands right behind the data. What stands between them, such
+    # as another recording, would be read by nobody.
+    if offset != (begin or footer_at):
+        raise DamagedError(
+            f"{path}: what follows the recording from byte {offset} on does not belong to it (were "
+            f"files joined?). 'mfpcc recover {path}' keeps the recording before it"
+        )
 
 
 def blocks(path: Path) -> Iterator[Record]:

@@ -2,8 +2,9 @@
 Reading recordings into arrays.
 
 A recording is read piece by piece (`storage`), and only arrays are kept (`columns`): 600,000
-periods with all topics take about 5 s and 1.2 GiB. Which of the messages belong together, and in
-which order, their times and period numbers say (`completeness`), never their place in a file.
+periods with all topics take about 5 s of processor time and 1.3 GiB. Which of the messages belong
+together, and in which order, their times and period numbers say (`completeness`), never their place
+in a file.
 
 A bag need not be ours: any bag with `phase_feedback` and `duty_command` of these message types can
 be measured, e.g. one recorded with ``ros2 bag record`` on a real drive (MCAP or sqlite3).
@@ -25,7 +26,7 @@ from mfpcc_experiments.bags.bag_parts import Parts, parts_of
 from mfpcc_experiments.bags.columns import column, layout_of
 from mfpcc_experiments.bags.completeness import select
 from mfpcc_experiments.bags.errors import BagError
-from mfpcc_experiments.bags.layouts import Layout
+from mfpcc_experiments.bags.layouts import TAKEN_AS_ON, Layout
 from mfpcc_experiments.bags.mcap_file import Topic
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD
 from mfpcc_experiments.bags.storage import Batch, Counts, Entry, contents
@@ -35,6 +36,7 @@ from pwm_node import stamps
 
 Progress = Callable[[float], None]
 _NEEDED = ("phase_feedback", "duty_command")
+_PERIOD_TOLERANCE = 0.01  # of the PWM period: what clocks may differ
 
 
 @dataclass
@@ -172,8 +174,13 @@ class _Collector:
         if self._namespace not in (None, namespace or "/"):
             return None
         found = layout_of(topic, LOOP_TOPICS[name], self.path)
+        on = tuple(name for name in found.missing if name in TAKEN_AS_ON)
         for fields, text in (
             (found.missing, "was recorded before it had {}; these take their defaults"),
+            (
+                on,
+                "does not say {}, which is taken as on: whether the motor was driven is not known",
+            ),
             (found.unknown, "was recorded with {}, unknown to this version and left out"),
         ):
             if fields:
@@ -213,11 +220,14 @@ class _Collector:
         self._check_counts()
         if not self.config:
             self._notes.append(self._unconfigured())
+        decimation = _decimation(self.config, self.summary)
+        self._notes += [
+            warning(f"topic {name} has no messages, though its run was configured to record it")
+            for name, step in decimation.items()
+            if 0 < step <= self._columns["phase_feedback"].count and not self._columns[name].count
+        ]
         chosen = select(
-            self._columns,
-            self.path,
-            decimation=_decimation(self.config, self.summary),
-            joined_late=not self.config,
+            self._columns, self.path, decimation=decimation, joined_late=not self.config
         )
         rows = {name: column.take(chosen.rows[name]) for name, column in self._columns.items()}
         lut, scheme = rows["lut_diagnostics"]
@@ -297,17 +307,32 @@ def _complete(recording: Recording) -> None:
     config, feedback = recording.config, recording.feedback
     with suppress(KeyError, TypeError, ValueError):
         recording.T_s = float(config["T_s"])
+    told = _period_of_stamps(feedback)
     if not 0.0 < recording.T_s < 1.0:
-        first, last = stamps.nanoseconds(feedback["stamp"][[0, -1]]).tolist()
-        periods = int(feedback["period"][-1]) - int(feedback["period"][0])
-        with suppress(ValueError):
-            recording.T_s = 1.0 / stamps.frequency(first, last, periods)
+        recording.T_s = told or 0.0
+    elif told is not None and abs(told - recording.T_s) > _PERIOD_TOLERANCE * recording.T_s:
+        recording.notes.append(
+            warning(
+                f"the configuration says a PWM period of {recording.T_s * 1e6:g} us, and the time "
+                f"stamps say {told * 1e6:g} us; all times and frequencies are by the configuration"
+            )
+        )
     if not 0.0 < recording.T_s < 1.0:
         raise BagError(f"{recording.path}: the PWM period cannot be told from the time stamps")
     if not _is_window(config):
         config.pop("window_s", None)
     n_p = config.get("n_p")
     recording.n_p = n_p if isinstance(n_p, int) and n_p > 0 else _pole_pairs(recording)
+
+
+def _period_of_stamps(feedback: NDArray[Any]) -> float | None:
+    """PWM period from one time stamp to the next (s), None where they do not tell."""
+    first, last = stamps.nanoseconds(feedback["stamp"][[0, -1]]).tolist()
+    periods = int(feedback["period"][-1]) - int(feedback["period"][0])
+    try:
+        return 1.0 / stamps.frequency(first, last, periods)
+    except ValueError:
+        return None
 
 
 def _is_window(config: Mapping[str, Any]) -> bool:

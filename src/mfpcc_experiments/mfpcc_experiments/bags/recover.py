@@ -55,7 +55,7 @@ def recover(path: Path) -> str:
         If there is nothing to save, or a file cannot be read or written. All is as it was then.
     """
     path = Path(path)
-    parts = _parts(path)
+    parts, missing = _parts(path)
     folder = parts.files[0].parent
     # The metadata.yaml of a bag tells of all its parts: it is written when all were looked at.
     whole = path.is_dir() or len(list(folder.glob("*.mcap"))) == 1
@@ -66,6 +66,8 @@ def recover(path: Path) -> str:
                 copy.run()
             lacking = whole and not (folder / METADATA).exists()
             broken = [copy for copy in copies if copy.problem is not None]
+            if not broken and missing is not None:
+                raise missing
             if not broken and not lacking:
                 return f"{path}: whole, nothing to repair"
             if not any(copy.sink.chunks for copy in copies):
@@ -89,14 +91,17 @@ def recover(path: Path) -> str:
         raise BagError(f"{error.filename or path}: {error.strerror}") from None
     if not broken:
         return f"{path}: the recording is whole; its {METADATA} was missing and was written"
-    return _report(path, broken)
+    text = _report(path, broken)
+    return text if missing is None else f"{text}; what cannot be repaired: {missing}"
 
 
-def _parts(path: Path) -> Parts:
-    """Files to repair; what ``metadata.yaml`` says that is not there is not needed for that."""
+def _parts(path: Path) -> tuple[Parts, BagError | None]:
+    """Files to repair, and what is wrong with the bag where one of them is missing."""
+    missing = None
     try:
         parts = parts_of(path)
-    except BagError:
+    except BagError as error:
+        missing = error
         files = candidates(path) if path.is_dir() else []
         if not files:
             raise
@@ -106,7 +111,7 @@ def _parts(path: Path) -> Parts:
             raise BagError(f"{file}: only MCAP recordings can be repaired")
         if mcap_file.is_being_written(file):
             raise BagError(f"{file}: is being written at this moment; there is nothing to repair")
-    return parts
+    return parts, missing
 
 
 @contextmanager

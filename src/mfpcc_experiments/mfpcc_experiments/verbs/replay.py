@@ -41,8 +41,19 @@ if TYPE_CHECKING:
     help="Folder for the results.",
 )
 @click.option("--force", is_flag=True, help="Replace results that are there already.")
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Exit with 3 also where the recording is not complete, or the figures leave something "
+    "out.",
+)
 def command(
-    bag: Path, schemes: tuple[str, ...], changes: tuple[str, ...], out: Path, force: bool
+    bag: Path,
+    schemes: tuple[str, ...],
+    changes: tuple[str, ...],
+    out: Path,
+    force: bool,
+    strict: bool,
 ) -> None:
     """Feed the recorded samples of BAG to schemes: what would they have predicted and commanded?
 
@@ -85,7 +96,7 @@ def command(
     click.echo(f"figure: {out / 'replay.png'}")
     if error is not None:
         raise error
-    click.get_current_context().exit(notes.exit_code(rows))
+    click.get_current_context().exit(notes.exit_code(rows, strict=strict))
 
 
 def _change(table: Table, text: str) -> tuple[str, Any]:
