@@ -42,12 +42,16 @@ class Parts:
         Messages that ``metadata.yaml`` tells of, by topic; None where it tells nothing.
     custom_data : dict of str
         Free entries of ``metadata.yaml``.
+    numbering : list of Note
+        Numbers that the names of the parts leave out. Files may have been renamed: it matters only
+        where periods are not there.
     """
 
     files: list[Path]
     notes: list[Note] = field(default_factory=list)
     message_counts: dict[str, int] | None = None
     custom_data: dict[str, str] = field(default_factory=dict)
+    numbering: list[Note] = field(default_factory=list)
 
 
 def parts_of(path: Path) -> Parts:
@@ -122,7 +126,7 @@ def _numbered(path: Path) -> tuple[str, int | None]:
 
 
 def _numbers_left_out(files: list[Path]) -> list[Note]:
-    """Whether the numbers of the parts, which begin with 0, leave one out: nothing else tells."""
+    """Whether the numbers of the parts, which begin with 0, leave one out."""
     numbers: dict[str, set[int]] = {}
     for name, number in map(_numbered, files):
         if number is not None:
@@ -155,14 +159,14 @@ def _of_folder(folder: Path) -> Parts:
         if not there:
             raise BagError(f"{folder}: no recording here (a bag is a folder with an .mcap file)")
         parts = Parts(_once(there))
-        parts.notes += _numbers_left_out(parts.files)
+        parts.numbering = _numbers_left_out(parts.files)
         if (folder / METADATA).exists():
             text = f"{METADATA} cannot be read; all {len(parts.files)} files in the folder count"
             parts.notes.append(warning(text))
         return parts
     files = [_found(folder, name) for name in listed]
     parts = Parts(files, message_counts=_counts(metadata), custom_data=_custom(metadata))
-    parts.notes += _numbers_left_out(files)
+    parts.numbering = _numbers_left_out(files)
     others = [x.name for x in there if x not in files and not _is_twin(x, files)]
     if others:
         names = ", ".join(others[:_NAMED_MOST]) + (", ..." if len(others) > _NAMED_MOST else "")

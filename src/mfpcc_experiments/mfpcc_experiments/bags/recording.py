@@ -229,6 +229,8 @@ class _Collector:
         chosen = select(
             self._columns, self.path, decimation=decimation, joined_late=not self.config
         )
+        if chosen.lost_periods or chosen.period["phase_feedback"][0] > 0:
+            self._notes += self._parts.numbering
         rows = {name: column.take(chosen.rows[name]) for name, column in self._columns.items()}
         lut, scheme = rows["lut_diagnostics"]
         state, waves = rows["drive_state"]
