@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -427,3 +428,31 @@ def test_a_topic_that_the_run_recorded_is_not_there(gone: str, step: int, tmp_pa
     path = bag_kinds.write(tmp_path / "b", [others], Kind(listed="missing"), config)
     told = f"topic {gone} has no messages" in " ".join(warnings(recording.read(path)))
     assert told == bool(step)
+
+
+@pytest.mark.parametrize("where", [0, -1])
+def test_a_single_time_stamp_that_is_wrong(where: int, tmp_path: Path) -> None:
+    """At the begin or the end of a bag without configuration: the others tell the PWM period."""
+    changed = list(MESSAGES)
+    at = [n for n, message in enumerate(MESSAGES) if message[0] == "phase_feedback"][where]
+    topic, time, data = changed[at]
+    other = (0, 900_000) if where == 0 else (7, 0)
+    changed[at] = (topic, time, data[:4] + struct.pack("<iI", *other) + data[12:])
+    found = recording.read(bag_kinds.write(tmp_path / "b", [changed], Kind()))
+    assert found.T_s == pytest.approx(1e-4)
+    assert "time stamps of phase_feedback are uneven" in " ".join(warnings(found))
+
+
+def test_an_axis_that_is_not_there(tmp_path: Path) -> None:
+    path = bag_kinds.write(tmp_path / "b", [MESSAGES], Kind(namespace="/axis1/"))
+    with pytest.raises(BagError, match="has no axis /axis7; there are: /axis1"):
+        recording.read(path, namespace="axis7")
+
+
+def test_time_stamps_of_a_coarse_clock(tmp_path: Path) -> None:
+    coarse = [
+        (topic, time, data[:4] + struct.pack("<iI", 0, time // 160_000 * 160_000) + data[12:])
+        for topic, time, data in MESSAGES
+    ]
+    found = recording.read(bag_kinds.write(tmp_path / "b", [coarse], Kind()))
+    assert found.T_s == pytest.approx(1e-4, rel=0.02)

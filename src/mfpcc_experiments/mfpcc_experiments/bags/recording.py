@@ -253,6 +253,9 @@ class _Collector:
 
     def _check_there(self) -> None:
         """Refuse a recording that lacks what every figure needs."""
+        if self._namespace is not None and self._namespace not in self._namespaces:
+            names = ", ".join(sorted(self._namespaces)) or "none"
+            raise BagError(f"{self.path}: has no axis {self._namespace}; there are: {names}")
         missing = [name for name in _NEEDED if not self._columns[name].count]
         if missing:
             others = sorted(self._others)[:8]
@@ -309,7 +312,7 @@ def _complete(recording: Recording) -> None:
     config, feedback = recording.config, recording.feedback
     with suppress(KeyError, TypeError, ValueError):
         recording.T_s = float(config["T_s"])
-    told = _period_of_stamps(feedback)
+    told = _period_of_stamps(feedback, recording.notes)
     if not 0.0 < recording.T_s < 1.0:
         recording.T_s = told or 0.0
     elif told is not None and abs(told - recording.T_s) > _PERIOD_TOLERANCE * recording.T_s:
@@ -327,14 +330,26 @@ def _complete(recording: Recording) -> None:
     recording.n_p = n_p if isinstance(n_p, int) and n_p > 0 else _pole_pairs(recording)
 
 
-def _period_of_stamps(feedback: NDArray[Any]) -> float | None:
-    """PWM period from one time stamp to the next (s), None where they do not tell."""
-    first, last = stamps.nanoseconds(feedback["stamp"][[0, -1]]).tolist()
-    periods = int(feedback["period"][-1]) - int(feedback["period"][0])
+def _period_of_stamps(feedback: NDArray[Any], notes: list[Note]) -> float | None:
+    """PWM period by the time stamps (s), None where they do not tell."""
+    time, period = stamps.nanoseconds(feedback["stamp"]), feedback["period"].astype(np.int64)
     try:
-        return 1.0 / stamps.frequency(first, last, periods)
+        told = 1.0 / stamps.frequency(int(time[0]), int(time[-1]), int(period[-1] - period[0]))
     except ValueError:
         return None
+    # A single stamp that is wrong, at the begin or the end, must not make all times wrong.
+    # Over half of the recording, so that a coarse clock does not matter.
+    half = len(time) // 2
+    usual = 1e-9 * float(np.median((time[half:] - time[:-half]) / (period[half:] - period[:-half])))
+    if abs(told - usual) <= _PERIOD_TOLERANCE * usual:
+        return told
+    notes.append(
+        warning(
+            f"the time stamps of phase_feedback are uneven: {usual * 1e6:g} us per period as "
+            f"a rule, {told * 1e6:g} us from the first to the last"
+        )
+    )
+    return usual
 
 
 def _is_window(config: Mapping[str, Any]) -> bool:
