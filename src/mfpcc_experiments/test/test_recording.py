@@ -7,6 +7,7 @@ import struct
 import bag_kinds
 import numpy as np
 import pytest
+from mfpcc_msgs.msg import DutyCommand
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -14,6 +15,7 @@ from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, 
 from mfpcc_experiments.bags.definitions import message_definition
 from mfpcc_experiments.bags.mcap_format import MAGIC
 from mfpcc_experiments.measuring import happened, metrics
+from pwm_node.wire import Wire
 
 
 def test_arrays_hold_what_was_written(make_bag):
@@ -101,6 +103,20 @@ def test_a_missing_end_is_a_gap(make_bag, drive_messages):
     source = (m for m in drive_messages(1000) if m[0] != "lut_diagnostics" or m[1] < 90_000_000)
     found = recording.read(make_bag(source=source))
     assert found.lost_periods == 99  # the very last period of a run may lack its diagnostics
+
+
+@pytest.mark.parametrize("enable", [False, True])
+def test_the_stop_after_the_end_answers_no_sample(make_bag, drive_messages, enable):
+    *source, (topic, time, data) = drive_messages(1000)
+    last = Wire(DutyCommand)
+    last.load(data)
+    last.fixed["period"] += 1
+    last.fixed["enable"] = enable  # what is on answers a sample, which then is missing
+    source += [(topic, time, data), (topic, time + 1, last.to_bytes())]
+    found = recording.read(make_bag(source=iter(source)))
+    assert found.feedback["period"][-1] == 999
+    assert (found.lost_periods, found.command["period"][-1]) == ((1, 1001) if enable else (0, 1000))
+    assert bool(found.notes) == enable
 
 
 def test_decimated_topics_are_no_gaps(make_bag, drive_messages):

@@ -156,6 +156,14 @@ class Column:
             return np.zeros(0, np.int64)
         return np.concatenate([part["period"] for part in self._parts]).astype(np.int64)
 
+    def field_of(self, index: int, field: str) -> Any:
+        """One field of one message."""
+        for part in self._parts:
+            if index < len(part):
+                return part[field][index]
+            index -= len(part)
+        raise IndexError(f"{self.name}: there are {self.count} messages")
+
     def log_time(self) -> NDArray[np.int64]:
         """Log times of all messages (ns); gives up its own copy."""
         return join(self._times, ALL, np.zeros(0, np.int64))

@@ -90,6 +90,7 @@ def select(
         period[name] = period[name][rows[name]]
     del time
     found.rows, found.period = rows, period
+    _drop_the_stop(columns["duty_command"], found)
     if joined_late or all(p[0] > 0 for p in period.values() if len(p)):
         _trim(found, decimation)
     _count_lost(found, decimation)
@@ -193,6 +194,23 @@ def _rising(column: Column, period: _Array, rows: Rows, path: Path, found: Selec
 
 
 # --- Completeness ------------------------------------------------------------------------------
+
+
+def _drop_the_stop(commands: Column, found: Selection) -> None:
+    """
+    Drop the command with which a controller that ends blocks the gates, after the last sample.
+
+    It is for the period behind that of its last answer and no answer to a sample, so none is
+    missing. What is recorded in line does not have it.
+    """
+    period = found.period["duty_command"]
+    others = [p[-1] for name, p in found.period.items() if name != "duty_command" and len(p)]
+    if len(period) < 2 or period[-1] - _LEAD["duty_command"] != max(others) + 1:
+        return
+    index = np.arange(commands.count)[found.rows["duty_command"]]
+    if not commands.field_of(int(index[-1]), "enable"):
+        found.rows["duty_command"] = index[:-1]
+        found.period["duty_command"] = period[:-1]
 
 
 def _trim(found: Selection, decimation: Mapping[str, int]) -> None:
