@@ -244,7 +244,7 @@ class _Run:
         """Current (A) that trips the inverter, and what a period at full voltage can add to it."""
         par = self.plant.par[0]
         # back-EMF added
-        rise = 1.5 * par["u_dc_set"] / min(par["L_d"], par["L_q"]) * par["T_s"]
+        rise = 1.5 * par["dc_voltage"] / min(par["L_d"], par["L_q"]) * par["T_s"]
         return float(par["limit"][OVERCURRENT] + rise)
 
     @property
