@@ -20,7 +20,7 @@ from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedbac
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.node import MfpccController
 from mfpcc_experiments.bags import BagWriter
-from mfpcc_experiments.graph.recorder import sink
+from mfpcc_experiments.graph.session import sink
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.plant import Plant, advance, latch
 from pwm_node import compiled

@@ -96,7 +96,7 @@ def run(line: str, place: Path, **variables: str) -> Process:
         (RUN, "import rclpy", 130, "mfpcc: interrupted\n"),
         (RUN, "import numba.core.dispatcher", 130, "mfpcc: interrupted\n"),
         (RUN, "os.mkdir", 130, "mfpcc: interrupted\n"),
-        (RUN, "import mfpcc_experiments.graph.recorder", 130, "mfpcc: interrupted\n"),
+        (RUN, "import mfpcc_experiments.graph.composed", 130, "mfpcc: interrupted\n"),
         (f"{RUN} --separate", "subprocess.Popen", 130, "mfpcc: interrupted\n"),
         (f"{RUN} --engine inprocess", "import matplotlib.figure", 130, "mfpcc: interrupted\n"),
         (COMPARE, "import matplotlib", 130, "mfpcc: interrupted\n"),

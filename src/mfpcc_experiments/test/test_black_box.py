@@ -15,7 +15,8 @@ from rclpy.serialization import serialize_message
 
 from mfpcc_experiments.bags import recording
 from mfpcc_experiments.bags.sink import McapSink
-from mfpcc_experiments.graph.black_box import KEPT, LIST, PAGE, Archive, BlackBox
+from mfpcc_experiments.graph.archive import KEPT, LIST, PAGE, Archive
+from mfpcc_experiments.graph.black_box import BlackBox
 
 
 class Host:

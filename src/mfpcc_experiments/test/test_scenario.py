@@ -9,7 +9,8 @@ import pytest
 
 from mfpcc_controller import motor as nominal_motor
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.running import run, scenario
+from mfpcc_experiments.running import scenario
+from mfpcc_experiments.running.configuration import configuration
 from pmsm_sim import motor
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import schedule, yaml_files
@@ -141,7 +142,7 @@ def test_changes_are_checked_as_the_file_is_and_stored(tmp_path: Path) -> None:
     more = scenario.changed(other, ["controller.fault.overcurrent=2"])
     assert more.controller["fault.overcurrent"] == 2.0
     assert more.changes == {**other.changes, "controller.fault.overcurrent": 2.0}
-    stored = run.configuration(more, "mbpcc", "ros", 0)
+    stored = configuration(more, "mbpcc", "ros", 0)
     assert stored["scenario"]["changes"] == more.changes
     assert stored["parameters"]["pmsm_sim"]["load_torque"] == 4.0
     # a step later than the new end

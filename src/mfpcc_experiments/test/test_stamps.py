@@ -10,7 +10,7 @@ import pytest
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.bags import BagWriter, recording
 from mfpcc_experiments.running.engine import Engine
-from mfpcc_experiments.running.run import write_trace
+from mfpcc_experiments.running.trace import write_trace
 from pmsm_sim.parameters import TABLE as PLANT
 
 

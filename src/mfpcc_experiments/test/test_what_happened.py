@@ -18,7 +18,7 @@ from mfpcc_experiments import notes
 from mfpcc_experiments.bags import BagWriter, recording
 from mfpcc_experiments.measuring import happened, metrics
 from mfpcc_experiments.running.engine import Engine
-from mfpcc_experiments.running.run import write_trace
+from mfpcc_experiments.running.trace import write_trace
 from pmsm_sim.parameters import TABLE as PLANT
 
 T_S = 1e-4

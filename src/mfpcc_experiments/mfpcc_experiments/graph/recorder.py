@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import bisect
 import contextlib
 import struct
 import sys
@@ -36,7 +35,9 @@ from rclpy.task import Future
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter
+from mfpcc_experiments.graph import loop_messages
 from mfpcc_experiments.graph.black_box import BlackBox
+from mfpcc_experiments.graph.remote_node import RemoteNode
 from mfpcc_experiments.measuring.happened import latched
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import guard, interrupts, ros_parameters, spin, stamps
@@ -62,76 +63,6 @@ _DRIVE_NODES = {"pmsm_sim": ("phase_feedback", 0), "mfpcc_controller": ("duty_co
 # So many messages may be taken before an event of the same time is: those of a recorder that has
 # fallen behind as far as the middleware lets it.
 _SENT_KEPT = 20_000
-_CHANGES_KEPT = 10_000
-_ANY_PERIOD = 1 << 63
-
-_STAMP_AND_PERIOD = struct.Struct("<4xiIQ")
-
-
-def sink(writer: BagWriter, topic: str) -> Callable[[bytes], None]:
-    """Return what appends serialized messages of one topic to a recording."""
-    write, unpack = writer.write, _STAMP_AND_PERIOD.unpack_from
-
-    def append(data: bytes) -> None:
-        sec, nanosec, _ = unpack(data)
-        write(topic, stamps.at(sec, nanosec), data)
-
-    return append
-
-
-class RemoteNode:
-    """What is known here of a node of the drive in another process.
-
-    Attributes
-    ----------
-    values : dict
-        Its parameters; empty until it has told them.
-    changes : deque of dict
-        The latest changes of them: period, name, value, and what it `was` before, where known.
-    missed_periods, lost_periods : int
-        Totals since its start, as it told them last.
-    """
-
-    def __init__(self) -> None:
-        self.values: dict[str, Any] = {}
-        self.changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES_KEPT)
-        self.missed_periods = 0
-        self.lost_periods = 0
-        # Changes of which it is not known yet in which period they came, by their time (ns).
-        self._news: list[tuple[int, str, Any]] = []
-
-    @property
-    def has_news(self) -> bool:
-        """Whether there are changes whose period is not known yet."""
-        return bool(self._news)
-
-    def changed(self, time_ns: int, name: str, value: Any) -> None:
-        """Take note of a changed parameter, told at this time."""
-        self._news.append((time_ns, name, value))
-
-    def date(self, sent: Sequence[tuple[int, int]], *, last: bool = False) -> None:
-        """Find the periods of what has changed.
-
-        A change acts from the first period of which the node tells after the change.
-
-        Parameters
-        ----------
-        sent : sequence of (int, int)
-            When the node sent its latest messages (ns), and of which period each was.
-        last : bool
-            No more will come: what changed after the last message acts in the period after it.
-        """
-        while self._news:
-            time_ns, name, value = self._news[0]
-            row = bisect.bisect_right(sent, (time_ns, _ANY_PERIOD))
-            if row == len(sent) and not last:
-                return
-            period = sent[row][1] if row < len(sent) else sent[-1][1] + 1 if sent else 0
-            change = {"period": period, "name": name, "value": value}
-            if name in self.values:
-                change["was"], self.values[name] = self.values[name], value
-            self.changes.append(change)
-            del self._news[0]
 
 
 class Recorder(Node):
@@ -251,7 +182,7 @@ class Recorder(Node):
         """What takes the messages of a topic: each with the time at which it was sent (ns)."""
         last, steps = self.last_period, self._steps
         sent = self._sent.get(topic, deque(maxlen=0))
-        unpack = _STAMP_AND_PERIOD.unpack_from
+        unpack = loop_messages.stamp_and_period
 
         def keep(data: bytes, sent_at: int) -> None:
             sec, nanosec, period = unpack(data)

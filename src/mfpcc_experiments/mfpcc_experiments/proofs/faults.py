@@ -195,16 +195,16 @@ def judge_all(
 
     Raises
     ------
-    mfpcc_experiments.graph.drive.DriveError
+    mfpcc_experiments.graph.session.DriveError
         If the graph cannot be used (engine `ros`).
     """
     if engine == "inprocess":
         return list(_judged(chosen, _run_in_process, react, tell))
     # rclpy is needed for this engine only
     ros_environment.check()
-    from mfpcc_experiments.graph import drive
+    from mfpcc_experiments.graph import composed
 
-    with drive.composed_runs() as run:
+    with composed.runs() as run:
 
         def run_on_graph(plant: dict[str, Any], controller: dict[str, Any]) -> _Run:
             found = run(plant, controller)
