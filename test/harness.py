@@ -41,6 +41,8 @@ class Process:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
+            # whoever runs the tests in the background has SIGINT ignored
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
             **options,
         )
         self._lines: list[str] = []
@@ -80,7 +82,7 @@ class Process:
         """Wait until it has printed a text."""
         with self._news:
             found = self._news.wait_for(
-                lambda: self._ended or any(text in line for line in self._lines), seconds
+                lambda: self._ended or text in "".join(self._lines), seconds
             )
         assert found and text in self.output, f"no '{text}' from {self.command}:\n{self.output}"
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
+import contextlib
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import NamedTuple
 
 import pytest
 from domains import own_domain
-from harness import PATIENCE
+from harness import PATIENCE, Process
 
 from ros2_standin.main import execute, parse
 
@@ -28,48 +26,6 @@ class Outcome(NamedTuple):
     code: int
     out: str
     err: str
-
-
-class Process:
-    """A program that runs, and what it has printed so far."""
-
-    def __init__(self, *command: object) -> None:
-        self.popen = subprocess.Popen(
-            [sys.executable, *map(str, command)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            # Whoever runs the tests in the background has SIGINT ignored.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
-        self.out = ""
-        self._news = threading.Condition()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        for line in self.popen.stdout:
-            with self._news:
-                self.out += line
-                self._news.notify_all()
-        with self._news:
-            self._news.notify_all()
-
-    def wait_for(self, text: str) -> None:
-        """Wait until it has printed something."""
-        with self._news:
-            self._news.wait_for(
-                lambda: text in self.out or not self._reader.is_alive(), timeout=PATIENCE
-            )
-        assert text in self.out
-
-    def end(self, *signals: int) -> int:
-        """Send signals, and return the exit code."""
-        for number in signals:
-            self.popen.send_signal(number)
-        code = self.popen.wait(PATIENCE)
-        self._reader.join(PATIENCE)
-        return code
 
 
 @pytest.fixture
@@ -113,31 +69,26 @@ def domain() -> Iterator[int]:
 @pytest.fixture(scope="module")
 def remote(domain: int) -> Iterator[Process]:
     """Another process with nodes to look at."""
-    process = Process(REMOTE)
-    process.wait_for("ready")
-    yield process
-    process.end(signal.SIGKILL)
+    with Process([sys.executable, REMOTE]) as process:
+        process.wait_for("ready")
+        yield process
 
 
 @pytest.fixture
 def slow_server(domain: int) -> Iterator[Process]:
     """Another process with a service, /slow, that never answers."""
-    process = Process(SLOW_SERVER)
-    process.wait_for("ready")
-    yield process
-    process.end(signal.SIGKILL)
+    with Process([sys.executable, SLOW_SERVER]) as process:
+        process.wait_for("ready")
+        yield process
 
 
 @pytest.fixture(scope="module")
 def start(domain: int) -> Iterator[Callable[..., Process]]:
     """Start the stand-in as a process; what is left of it is killed after the test file."""
-    processes: list[Process] = []
+    with contextlib.ExitStack() as stack:
 
-    def run(*arguments: object) -> Process:
-        processes.append(Process(COMMAND, *arguments))
-        return processes[-1]
+        def run(*arguments: object) -> Process:
+            command = [sys.executable, COMMAND, *map(str, arguments)]
+            return stack.enter_context(Process(command))
 
-    yield run
-    for process in processes:
-        if process.popen.poll() is None:
-            process.end(signal.SIGKILL)
+        yield run

@@ -74,7 +74,7 @@ def bag(remote, start, tmp_path_factory):
     with taken_from("/ticks") as wait_for:
         wait_for(50)
     assert recorder.end(signal.SIGINT) == 0
-    assert recorder.out.endswith("Recording stopped\n")
+    assert recorder.output.endswith("Recording stopped\n")
     return folder
 
 
@@ -85,8 +85,8 @@ def test_an_interrupt_at_any_moment_leaves_a_whole_bag(remote, start, tmp_path):
             recorder = start("bag", "record", "-o", tmp_path / str(n), "/flood")
             recorder.wait_for("All requested topics are subscribed")
             # 1 where messages came faster than they were written, which it says
-            assert recorder.end(signal.SIGINT) == int("messages were lost" in recorder.out)
-            assert "Error" not in recorder.out
+            assert recorder.end(signal.SIGINT) == int("messages were lost" in recorder.output)
+            assert "Error" not in recorder.output
             assert all(topic == "/flood" for topic, _, _ in messages(tmp_path / str(n)))
 
 
@@ -127,7 +127,7 @@ def test_play(bag, start):
         player = start("bag", "play", bag, "--delay", "1", *arguments)
         assert wait_for(len(expected)) == expected
         assert player.end() == 0
-    assert "Set rate to 2\n" in player.out
+    assert "Set rate to 2\n" in player.output
 
 
 @pytest.mark.parametrize(

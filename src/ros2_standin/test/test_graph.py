@@ -49,7 +49,7 @@ def test_a_call_ends_when_its_server_has_gone(start, slow_server):
     slow_server.wait_for("asked")
     slow_server.end(signal.SIGTERM)
     assert call.end() == 1
-    assert "No answer: who offered the service /slow has gone" in call.out, call.out
+    assert "No answer: who offered the service /slow has gone" in call.output, call.output
 
 
 def test_parameters(ros2, tmp_path):
@@ -150,7 +150,7 @@ def test_pub(ros2, start):
     )
     assert "publishing #3: std_msgs.msg.String(data='x')\n\n" in outcome.out
     assert echo.end() == 0
-    assert echo.out == "data: x\n---\n"
+    assert echo.output == "data: x\n---\n"
     nobody = ros2("topic", "pub", "-1", "/q", "std_msgs/String", "--max-wait-time-secs", "0.1")
     assert nobody.err.startswith("Timed out waiting for subscribers: Expected 1 ")
 
@@ -166,4 +166,4 @@ def test_measuring_until_stopped(start, verb, text, kind, code):
     process = start("topic", verb, "/ticks")
     process.wait_for(text)
     assert process.end(kind) == code
-    assert "Traceback" not in process.out
+    assert "Traceback" not in process.output

@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ros2_standin.launching.context import LaunchContext, LaunchError
-from ros2_standin.launching.processes import Node, ParameterValue, Supervisor
+from ros2_standin.launching.context import LaunchContext
+from ros2_standin.launching.output import LaunchError
+from ros2_standin.launching.processes import Node, ParameterValue
 from ros2_standin.launching.substitutions import LaunchConfiguration
+from ros2_standin.launching.supervisor import Supervisor
 
 HEAD = """
 import sys
@@ -113,12 +115,12 @@ def test_stopping(start, file, kind):
     process = start("launch", file(f"python({WAIT!r})"))
     process.wait_for("[p-1] up")
     assert process.end(kind) == 0
-    assert "[WARNING] [launch]: user interrupted with" in process.out
-    assert "[INFO] [p-1]: sending signal 'SIGINT'" in process.out
+    assert "[WARNING] [launch]: user interrupted with" in process.output
+    assert "[INFO] [p-1]: sending signal 'SIGINT'" in process.output
 
 
 def test_who_does_not_listen_is_told_louder(ros2, file, monkeypatch):
-    monkeypatch.setattr("ros2_standin.launching.processes.PATIENCE", 0.2)
+    monkeypatch.setattr("ros2_standin.launching.supervisor.PATIENCE", 0.2)
     path = file(f"python({DEAF!r}), python('import time; time.sleep(1.0)', on_exit=Shutdown())")
     said = ros2("launch", path).out
     assert (

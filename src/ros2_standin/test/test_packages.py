@@ -89,14 +89,14 @@ def test_run_passes_the_end_on(prefix, start):
     process = start("run", "made", "waiting")
     process.wait_for("waiting")
     assert process.end(signal.SIGTERM) == 5
-    assert process.out.endswith("Process exited with failure 5\n")
+    assert process.output.endswith("Process exited with failure 5\n")
 
 
 def test_run_tells_of_a_signal(prefix, start):
     (prefix / "lib/made/program").write_text(f"#!{sys.executable}\nimport os; os.abort()")
     process = start("run", "made", "program")
     assert process.end() == 256 - signal.SIGABRT
-    assert process.out.endswith("[ros2run]: Aborted\n")
+    assert process.output.endswith("[ros2run]: Aborted\n")
 
 
 def test_interfaces(ros2, prefix):

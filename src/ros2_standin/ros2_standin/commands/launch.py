@@ -16,8 +16,8 @@ from ros2_standin.launching.actions import (
     declared_arguments,
     load,
 )
-from ros2_standin.launching.context import LaunchError, log
-from ros2_standin.launching.processes import launch
+from ros2_standin.launching.launch import launch
+from ros2_standin.launching.output import LaunchError, log
 from ros2_standin.verb import Result
 
 

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from ros2_standin.launching.context import LaunchContext, LaunchError, log
+from ros2_standin.launching.context import LaunchContext
+from ros2_standin.launching.output import LaunchError, log
 from ros2_standin.launching.substitutions import Text, text
 
 

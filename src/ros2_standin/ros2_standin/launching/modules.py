@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 
 from ros2_standin.catalogue import not_here
 from ros2_standin.launching import actions, context, processes, substitutions
+from ros2_standin.launching.output import LaunchError
 
 #: What there is, by module.
 CONTENT: dict[str, list[Any]] = {
@@ -42,7 +43,7 @@ class _Module(ModuleType):
     def __getattr__(self, name: str) -> NoReturn:
         if name.startswith("__"):
             raise AttributeError(name)
-        raise context.LaunchError(not_here(f"{self.__name__}.{name}"))
+        raise LaunchError(not_here(f"{self.__name__}.{name}"))
 
 
 def provide() -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ros2_standin.index import package_prefix
-from ros2_standin.launching.context import LaunchContext, LaunchError
+from ros2_standin.launching.context import LaunchContext
+from ros2_standin.launching.output import LaunchError
 
 
 class Substitution:
