@@ -107,6 +107,8 @@ def test_paced_the_inverter_does_not_wait_for_a_controller(start: Start, outside
         outside.until(
             lambda: outside.codes("pmsm_sim") == ["COMMAND_LOST"], "the inverter gives it up"
         )
+        # more samples than its subscription holds
+        outside.until_beyond(outside.period + 20, "time goes on")
     outside.until(
         lambda: "FEEDBACK_LOST" in outside.codes("mfpcc_controller"), "the controller sees a gap"
     )
