@@ -23,8 +23,7 @@ from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.measuring.happened import scheme_title
-from mfpcc_experiments.measuring.measured import COLOURS
-from mfpcc_experiments.reporting.figures import REFERENCE, STYLE
+from mfpcc_experiments.reporting.style import COLOURS, REFERENCE, STYLE
 from mfpcc_experiments.running.closed_loop import Run, run
 from mfpcc_experiments.running.engine import step_time
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mfpcc_experiments.bags import Recording
 from mfpcc_experiments.bags import recording as bags
 from mfpcc_experiments.files import result_folder
-from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring import metrics, window
 from mfpcc_experiments.measuring.columns import columns
 from mfpcc_experiments.progress import progress_bar
 from mfpcc_experiments.running import ENGINES, scenario
@@ -90,7 +90,7 @@ class Result:
     @property
     def i_abc(self) -> Array:
         """Measured phase currents (A), shape (n, 3)."""
-        return metrics.phase_currents(self.recording.feedback)
+        return window.phase_currents(self.recording.feedback)
 
     @property
     def i_dq(self) -> NDArray[np.complex128]:

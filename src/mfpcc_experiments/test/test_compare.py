@@ -13,8 +13,8 @@ import pytest
 from harness import PATIENCE
 
 from mfpcc_experiments.bags import BagError, recording
-from mfpcc_experiments.measuring import happened, measured, metrics
-from mfpcc_experiments.reporting import compare, figures, report
+from mfpcc_experiments.measuring import happened, measured, window
+from mfpcc_experiments.reporting import compare, figures, report, table, traces
 
 CONTRACT = {
     "experiment": None,
@@ -130,7 +130,7 @@ def test_text_from_recordings_is_escaped(make_bag, tmp_path):
     assert page.tags.count("script") == 2
     assert all(reference.startswith("data:") for reference in page.references)
     assert "<img src=x" not in text and "</script><script>alert" not in text
-    compare.print_table(rows)
+    table.print_table(rows)
 
 
 def test_figures_of_recordings_that_lack_topics(make_bag, drive_messages, tmp_path):
@@ -170,10 +170,10 @@ def test_phase_currents_have_the_time_of_the_run(bags):
 def test_what_lut_error_is_stands_where_it_comes_first(compared, capsys):
     out, rows, _ = compared
     text = Page((out / "report.html").read_text(encoding="utf-8")).text
-    assert 0 < text.index("LUT error") < text.index("measured minus predicted current")
-    assert text.index("measured minus predicted current") < text.index("LUT error q")
-    compare.print_table(rows)
-    assert "LUT error: measured minus predicted current" in capsys.readouterr().out
+    assert 0 < text.index("Prediction error") < text.index("measured minus predicted current")
+    assert text.index("measured minus predicted current") < text.index("Prediction error q")
+    table.print_table(rows)
+    assert "Prediction error: measured minus predicted current" in capsys.readouterr().out
 
 
 def test_changes_of_a_run_are_told_with_its_figures(make_bag, tmp_path):
@@ -189,9 +189,9 @@ def test_another_window_than_the_recorded_one(bags, tmp_path):
     assert row["window_s"] == [0.15, 0.25]
     page = (tmp_path / "out/report.html").read_text()
     assert "evaluated from 0.15 to 0.25 s" in page
-    for window in ((0.2, 7.0), (5.0, 6.0)):  # said of 100 periods, it would not be true
-        with pytest.raises(metrics.MetricsError, match="cannot be evaluated"):
-            compare.compare(bags[:1], tmp_path / "other", window_s=window)
+    for other in ((0.2, 7.0), (5.0, 6.0)):  # said of 100 periods, it would not be true
+        with pytest.raises(window.MetricsError, match="cannot be evaluated"):
+            compare.compare(bags[:1], tmp_path / "other", window_s=other)
     assert not (tmp_path / "other").exists()
 
 
@@ -204,7 +204,7 @@ def test_nothing_is_written_if_a_recording_is_no_good(bags, tmp_path):
 
 
 def test_the_table_in_the_terminal(compared, capsys):
-    compare.print_table(compared[1])
+    table.print_table(compared[1])
     lines = capsys.readouterr().out.splitlines()
     assert re.search(r"MBPCC +MLS-MFPCC", lines[0])
     assert re.search(r"THD, oversampled +2\.00 +2\.00 +%", lines[1])
@@ -213,10 +213,10 @@ def test_the_table_in_the_terminal(compared, capsys):
 def test_a_table_too_wide_for_the_terminal_goes_on_below(compared, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     schemes = ["mbpcc", "mbpcc_single_vector", "neso_mfpcc", "mfpcc_two_vector", "mls_mfpcc"]
-    compare.print_table([{**compared[1][0], "scheme": scheme} for scheme in schemes])
+    table.print_table([{**compared[1][0], "scheme": scheme} for scheme in schemes])
     text = capsys.readouterr().out
-    table = text[: text.index("info:")]  # a note stays on its line
-    assert max(len(line.rstrip()) for line in table.splitlines()) <= 80
+    shown = text[: text.index("info:")]  # a note stays on its line
+    assert max(len(line.rstrip()) for line in shown.splitlines()) <= 80
     for scheme in schemes:
         assert happened.scheme_title(scheme) in text
     assert len(re.findall(r"THD, oversampled( +2\.00)+ +%", text)) == 2
@@ -228,7 +228,7 @@ def test_a_table_too_wide_for_the_terminal_goes_on_below(compared, capsys, monke
      (-0.0456, "-0.046"), (749.99, "750.0"), (0, "0"), (12, "12")],
 )  # fmt: skip
 def test_three_digits(number, shown):
-    assert compare.text({"x": number}, ("x",)) == shown
+    assert table.texts([number])[0] == shown
 
 
 def test_labels_tell_recordings_apart():
@@ -251,19 +251,19 @@ def test_only_differences_beyond_chance_are_marked():
         return {"scatter": {"parts": parts, "mean": {"a.b": mean}, "std": {"a.b": std}}}
 
     none = {"scatter": {"parts": 0, "mean": {}, "std": {}}}
-    assert compare.best([row(1.0, 0.1), row(1.05, 0.1)], ("a", "b")) == [False, False]
-    assert compare.best([row(1.0, 0.1), row(1.5, 0.1)], ("a", "b")) == [True, False]
-    assert compare.best([row(1.02, 0.1), row(3.0, 0.1), row(1.0, 0.1)], ("a", "b")) == [
+    assert table.best([row(1.0, 0.1), row(1.05, 0.1)], ("a", "b")) == [False, False]
+    assert table.best([row(1.0, 0.1), row(1.5, 0.1)], ("a", "b")) == [True, False]
+    assert table.best([row(1.02, 0.1), row(3.0, 0.1), row(1.0, 0.1)], ("a", "b")) == [
         True, False, True
     ]  # fmt: skip
-    assert compare.best([row(1.0, 0.0), row(2.0, 0.0), none], ("a", "b")) == [True, False, False]
-    assert compare.best([row(1.0, 0.1), none], ("a", "b")) == [False, False]
+    assert table.best([row(1.0, 0.0), row(2.0, 0.0), none], ("a", "b")) == [True, False, False]
+    assert table.best([row(1.0, 0.1), none], ("a", "b")) == [False, False]
 
 
 def test_traces_hold_the_signal_to_a_screens_resolution():
     values = np.linspace(-3.0, 5.0, 1000, dtype=np.float32)
     values[10] = np.nan
-    part = report._packed(0.0, 1e-4, values)
+    part = traces._packed(0.0, 1e-4, values)
     import base64
 
     whole = np.frombuffer(base64.b64decode(part["data"]), "<i2")
@@ -276,9 +276,9 @@ def test_traces_hold_the_signal_to_a_screens_resolution():
 def test_long_traces_keep_their_extremes_and_the_window():
     values = np.zeros(1_000_000, dtype=np.float32)
     values[123_456] = 7.0  # one period in 100 s
-    coarse, fine = report._segments(measured.Signal(0.0, 1e-4, values), 50.0, 50.2)
+    coarse, fine = traces._segments(measured.Signal(0.0, 1e-4, values), 50.0, 50.2)
     assert coarse["pairs"] and coarse["low"] + 65534 * coarse["scale"] == pytest.approx(7.0)
-    assert coarse["dt"] * report.FULL / 2 >= 100.0
+    assert coarse["dt"] * traces.FULL / 2 >= 100.0
     assert (fine["t0"], fine["dt"], fine["pairs"]) == (50.0, 1e-4, False)
 
 
@@ -290,5 +290,5 @@ def test_the_viewers_program_is_sound(tmp_path):
 
 def test_window_of_a_long_recording_is_all_that_is_kept(make_bag):
     found = recording.read(make_bag(oversampling=4))
-    w = metrics.cut(found)
+    w = window.cut(found)
     assert len(w.time) == 2000 and len(w.fine_time) == 8000

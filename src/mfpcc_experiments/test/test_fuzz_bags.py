@@ -18,7 +18,7 @@ from mfpcc_experiments import cli
 from mfpcc_experiments.bags import LOOP_TOPICS, BagError, mcap_format, recording, recover
 from mfpcc_experiments.bags.definitions import message_definition
 from mfpcc_experiments.bags.mcap_format import MAGIC
-from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring import metrics, window
 
 #: More than the little bag of these tests needs by far (bytes).
 MEMORY = 16 << 20
@@ -29,7 +29,7 @@ _HEAD = struct.Struct("<BQ")
 def read_all(path: Path) -> object:
     """A bag into arrays and figures of merit."""
     found = recording.read(path)
-    fuzz.outcome(metrics.MetricsError, metrics.evaluate, found)
+    fuzz.outcome(window.MetricsError, metrics.evaluate, found)
     return found
 
 

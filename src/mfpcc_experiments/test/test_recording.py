@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, recover
 from mfpcc_experiments.bags.definitions import message_definition
 from mfpcc_experiments.bags.mcap_format import MAGIC
-from mfpcc_experiments.measuring import happened, metrics
+from mfpcc_experiments.measuring import happened, metrics, window
 from pwm_node.wire import Wire
 
 
@@ -82,7 +82,7 @@ def test_the_period_can_be_told_at_any_time(make_bag, drive_messages):
 
 def test_a_window_outside_of_the_recording(make_bag):
     found = recording.read(make_bag(periods=500))
-    with pytest.raises(metrics.MetricsError, match=r"0\.1 to 0\.3 s holds 0 samples.* to 0\.05 s"):
+    with pytest.raises(window.MetricsError, match=r"0\.1 to 0\.3 s holds 0 samples.* to 0\.05 s"):
         metrics.evaluate(found)
 
 

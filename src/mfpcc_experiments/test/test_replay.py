@@ -15,7 +15,7 @@ import pytest
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_experiments import cli
 from mfpcc_experiments.bags import Recording, recording
-from mfpcc_experiments.measuring import replay
+from mfpcc_experiments.measuring import replay, replay_summary
 from mfpcc_experiments.notes import NOT_AS_ASKED
 from mfpcc_experiments.running import run
 from mfpcc_experiments.running.scenario import Scenario
@@ -88,7 +88,7 @@ def test_switches_of_scheme_and_model_are_reproduced(tmp_path: Path) -> None:
     samples = replay.Samples(recording.read(record(tmp_path, "mbpcc", schedule=switches)))
     replay.require_same(samples, replay.verify(samples))
     # a scheme that is named answers throughout
-    row = replay.summary(samples, replay.replay(samples, "mbpcc"))
+    row = replay_summary.summary(samples, replay.replay(samples, "mbpcc"))
     assert row["first_difference"] == 201
 
 
@@ -118,7 +118,9 @@ def test_predictions_are_about_the_output_that_acted(
 ) -> None:
     """The true model predicts to noise whatever the recorded scheme did; its own choice did not."""
     samples = replay.Samples(recording.read(bags(recorded)))
-    rows = {s: replay.summary(samples, replay.replay(samples, s)) for s in ("mbpcc", "pi_foc")}
+    rows = {
+        s: replay_summary.summary(samples, replay.replay(samples, s)) for s in ("mbpcc", "pi_foc")
+    }
     for row in rows.values():
         # two samples' noise of 20 mA rms each, and the model's own error
         assert 0.025 < row["lut_error_rms"]["d"] < 0.040
@@ -147,7 +149,9 @@ def test_summary_of_a_known_difference(bags: Callable[[str], Path]) -> None:
     duty, differs = own.duty.copy(), own.differs.copy()
     duty[400:, 0] += 0.03  # 2/3 of it, times 311 V, in the mean voltage
     differs[400:] = True
-    row = replay.summary(samples, dataclasses.replace(own, duty=duty, differs=differs), (0.0, 0.06))
+    row = replay_summary.summary(
+        samples, dataclasses.replace(own, duty=duty, differs=differs), (0.0, 0.06)
+    )
     assert row["first_difference"] == 401
     assert row["duty_difference_max"] == pytest.approx(0.03)
     assert row["same_commands_percent"] == pytest.approx(100.0 * 400 / 600)
@@ -194,7 +198,7 @@ def test_a_bag_without_configuration_needs_a_motor(bags: Callable[[str], Path]) 
         replay.Samples(bare)
     samples = replay.Samples(bare, {"motor": "seed_750"})
     assert "no parameters" in samples.why_not_verifiable
-    row = replay.summary(samples, replay.replay(samples, "mbpcc"))
+    row = replay_summary.summary(samples, replay.replay(samples, "mbpcc"))
     assert row["lut_error_max"]["q"] < 0.3
     assert row["window_s"] == [0.0, pytest.approx(0.06)]
 

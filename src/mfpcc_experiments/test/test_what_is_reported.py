@@ -17,9 +17,10 @@ from mfpcc_controller import plug_in
 from mfpcc_controller.parameters import TABLE, Parameter
 from mfpcc_experiments import cli, notes
 from mfpcc_experiments.bags import recording
-from mfpcc_experiments.measuring import metrics
-from mfpcc_experiments.measuring.measured import COLOURS, MARKS, Measured, signals
-from mfpcc_experiments.reporting import compare, figures
+from mfpcc_experiments.measuring import metrics, window
+from mfpcc_experiments.measuring.measured import Measured, signals
+from mfpcc_experiments.reporting import figures, table
+from mfpcc_experiments.reporting.style import COLOURS, MARKS
 from mfpcc_experiments.running import run, scenario
 
 STEADY = """\
@@ -164,7 +165,7 @@ def test_overspeed_of_a_motor_that_nothing_holds(tmp_path: Path) -> None:
     row = metrics.evaluate(found)
     (failure,) = texts(row, "failure")
     assert re.match(r"gates off from 0\.\d{3} s: OVERSPEED, \d+ rad/s$", failure)
-    given = {key: value for key, value in metrics._flat(row).items() if value is not None}
+    given = [m.key for m in metrics.METRICS if table.value(row, m.path) is not None]
     assert not any(key.startswith(("thd", "ripple", "lut", "copper", "i_d", "i_q", "torque"))
                    for key in given)  # fmt: skip
     assert row["switching_frequency_hz"] == 0.0
@@ -260,7 +261,7 @@ def measured(path: Path, label: str) -> Measured:
         path=path,
         label=label,
         row=metrics.evaluate(found),
-        window=metrics.cut(found),
+        window=window.cut(found),
         signals=signals(found),
     )
 
@@ -301,4 +302,4 @@ def test_ninety_recordings_are_told_apart() -> None:
     ("number", "shown"), [(0.00213, "0.00213"), (0.01234, "0.012"), (0.00012, "0.000")]
 )
 def test_milliamperes_keep_their_digits(number: float, shown: str) -> None:
-    assert compare.text({"x": number}, ("x",)) == shown
+    assert table.texts([number])[0] == shown

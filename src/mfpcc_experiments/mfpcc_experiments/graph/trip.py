@@ -88,7 +88,7 @@ def figures(
             "scheme": lut.scheme,
             "i_d, i_q (A)": lut.i_dq,
             "i_d, i_q reference (A)": lut.i_dq_ref,
-            "LUT error d, q (A)": lut.prediction_error,
+            "prediction error d, q (A)": lut.prediction_error,
             "electrical speed, estimated (rad/s)": lut.w_m,
             "speed reference (r/min)": lut.speed_ref / RPM,
         }

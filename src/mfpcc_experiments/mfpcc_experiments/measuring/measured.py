@@ -11,19 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfpcc_experiments.bags import Recording
-from mfpcc_experiments.measuring import metrics
 from mfpcc_experiments.measuring.happened import scheme_title
-
-#: Colours of Okabe and Ito, told apart by everybody, in an order that keeps their distance; and two
-#: of Tol's, for a ninth scheme.
-COLOURS = (
-    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#882255",
-    "#999933",
-)  # fmt: skip
-
-#: Marks that tell recordings apart where colours do not, as in a grey print. Their number has no
-#: factor in common with that of the colours, so that ninety recordings differ in one or the other.
-MARKS = "●■▲▼◆✚✖★◀▶"
+from mfpcc_experiments.measuring.waveform import to_dq
+from mfpcc_experiments.measuring.window import Window, phase_currents
+from pwm_node.units import RPM
 
 
 @dataclass(frozen=True)
@@ -57,7 +48,7 @@ class Measured:
         Short name, different for all that are compared.
     row : dict
         Its object of ``metrics.json``.
-    window : metrics.Window
+    window : Window
         Signals of the evaluation window.
     signals : dict of Signal
         Quantities over the whole recording, by name (see `signals`).
@@ -68,7 +59,7 @@ class Measured:
     path: Path
     label: str
     row: dict[str, Any]
-    window: metrics.Window
+    window: Window
     signals: dict[str, Signal]
     config: dict[str, Any] = field(default_factory=dict)
 
@@ -117,7 +108,6 @@ def signals(recording: Recording) -> dict[str, Signal]:
         ``load_torque`` (N m), as far as recorded.
     """
     T_s = recording.T_s
-    rpm = 60.0 / metrics.TWO_PI
     feedback, lut, state = recording.feedback, recording.lut, recording.state
     found: dict[str, Signal] = {"i_a": _signal(feedback["period"], feedback["i_a"], T_s)}
     if len(lut):
@@ -129,19 +119,17 @@ def signals(recording: Recording) -> dict[str, Signal]:
             ):
                 found[name] = _signal(lut["period"], values[:, n], T_s)
     elif recording.n_p:
-        i_dq = metrics.to_dq(
-            metrics.phase_currents(feedback), recording.n_p * feedback["encoder_angle"]
-        )
+        i_dq = to_dq(phase_currents(feedback), recording.n_p * feedback["encoder_angle"])
         found["i_d"] = _signal(feedback["period"], i_dq.real, T_s)
         found["i_q"] = _signal(feedback["period"], i_dq.imag, T_s)
     if len(state):
-        found["speed"] = _signal(state["period"], state["speed"] * rpm, T_s)
+        found["speed"] = _signal(state["period"], state["speed"] / RPM, T_s)
         found["torque"] = _signal(state["period"], state["torque"], T_s)
         found["load_torque"] = _signal(state["period"], state["load_torque"], T_s)
     elif recording.n_p and len(lut):
-        found["speed"] = _signal(lut["period"], lut["w_m"] / recording.n_p * rpm, T_s)
+        found["speed"] = _signal(lut["period"], lut["w_m"] / recording.n_p / RPM, T_s)
     if len(lut) and np.isfinite(lut["speed_ref"]).any():
-        found["speed_ref"] = _signal(lut["period"], lut["speed_ref"] * rpm, T_s)
+        found["speed_ref"] = _signal(lut["period"], lut["speed_ref"] / RPM, T_s)
     return found
 
 

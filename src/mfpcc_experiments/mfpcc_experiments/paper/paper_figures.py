@@ -19,7 +19,6 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from mfpcc_experiments.measuring.happened import scheme_title
-from mfpcc_experiments.measuring.measured import COLOURS
 from mfpcc_experiments.paper.reproduce import (
     FITTED,
     MISMATCHES,
@@ -28,7 +27,8 @@ from mfpcc_experiments.paper.reproduce import (
     Results,
     Run,
 )
-from mfpcc_experiments.reporting.figures import REFERENCE, STYLE, format_value, limits, note, save
+from mfpcc_experiments.reporting.figures import format_value, limits, note, save
+from mfpcc_experiments.reporting.style import COLOURS, REFERENCE, STYLE
 
 _CONDITIONS = {
     "steady_750_2": "750 r/min, 2 N m",
@@ -158,8 +158,8 @@ _MISMATCH_ROWS = (
 
 def _error_rows(*, evaluated: bool) -> tuple[Quantity, ...]:
     return (
-        Quantity("LUT error,\nd (A)", _error(0, evaluated=evaluated), _worst("d")),
-        Quantity("LUT error,\nq (A)", _error(1, evaluated=evaluated), _worst("q")),
+        Quantity("Prediction\nerror, d (A)", _error(0, evaluated=evaluated), _worst("d")),
+        Quantity("Prediction\nerror, q (A)", _error(1, evaluated=evaluated), _worst("q")),
     )
 
 
@@ -242,7 +242,7 @@ def _figure_7(r: Results) -> Iterator[Picture]:
         ]
         yield (
             f"figure_7_{part}",
-            f"Figure 7({part}): LUT error, measured minus predicted current, {what}.",
+            f"Figure 7({part}): prediction error, measured minus predicted current, {what}.",
             _draw(
                 blocks,
                 [_CONDITIONS[e] for e in experiments],
@@ -272,8 +272,8 @@ def _figure_9(r: Results) -> Iterator[Picture]:
     ]
     yield (
         "figure_9",
-        "Figure 9: LUT error, measured minus predicted current, during the load step and the speed "
-        "step, each at 0.2 s.",
+        "Figure 9: prediction error, measured minus predicted current, during the load step and "
+        "the speed step, each at 0.2 s.",
         _draw(blocks, [_CONDITIONS[e] for e in STEPS], _error_rows(evaluated=False), common=True),
     )
 

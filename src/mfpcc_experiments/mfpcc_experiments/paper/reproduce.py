@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfpcc_experiments.bags import Recording, recording
-from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring import metrics, waveform, window
 from mfpcc_experiments.measuring.happened import scheme_title
 from mfpcc_experiments.measuring.measured import Signal, signals
-from mfpcc_experiments.measuring.metrics import Window
+from mfpcc_experiments.measuring.window import Window
 from mfpcc_experiments.notes import Severity
+from pwm_node.units import RPM
 
 Progress = Callable[[float], None]
 
@@ -89,9 +90,9 @@ class Run:
         What it is of.
     row : dict
         Its object of ``metrics.json``.
-    window : metrics.Window
+    window : window.Window
         Signals of the evaluated time.
-    shown : metrics.Window
+    shown : window.Window
         Signals of the time that the figures show.
     signals : dict of Signal
         ``speed`` and ``speed_ref`` (r/min) over the whole run.
@@ -169,8 +170,8 @@ def measure(experiment: str, scheme: str, path: Path) -> Run:
         experiment=experiment,
         scheme=scheme,
         row=row,
-        window=metrics.cut(found),
-        shown=metrics.cut(found, SHOWN[experiment]),
+        window=window.cut(found),
+        shown=window.cut(found, SHOWN[experiment]),
         signals={name: whole[name] for name in ("speed", "speed_ref")},
         more=_more(found, has_step=experiment not in STEADY),
     )
@@ -187,16 +188,17 @@ def _more(found: Recording, *, has_step: bool) -> dict[str, float]:
         ``current``: largest mean of i_q (A). ``bias_q``: mean of predicted minus measured i_q (A).
         ``repeated``, ``renewed``: share of the periods whose output is that of the period before,
         and in which all seven entries of the table were updated. With a step: ``before_error``,
-        ``after_error`` and ``spike`` (largest LUT error in the 50 ms before and after it, and right
-        behind it, A), ``after_deviation`` and ``oscillation`` (rms deviation in the 50 ms after it,
-        and less its first 5 ms, A), ``speed_dip`` (largest deviation of the speed, r/min), and
+        ``after_error`` and ``spike`` (largest prediction error in the 50 ms before and after it,
+        and right behind it, A), ``after_deviation`` and ``oscillation`` (rms deviation in the 50 ms
+        after it, and less its first 5 ms, A), ``speed_dip`` (largest deviation of the speed,
+        r/min), and
         ``torque_error`` (rms deviation of the torque from what is asked for in these 50 ms, N m).
     """
-    w = metrics.cut(found)
-    rows = metrics.window_rows(found.lut["period"], (w.begin, w.end), found.T_s)
+    w = window.cut(found)
+    rows = window.window_rows(found.lut["period"], (w.begin, w.end), found.T_s)
     updated = found.lut["updated"][rows]
     duty = found.command["duty"][
-        metrics.window_rows(found.command["period"], (w.begin, w.end), found.T_s)
+        window.window_rows(found.command["period"], (w.begin, w.end), found.T_s)
     ]
     error = _required(w.error)
     more = {
@@ -208,12 +210,12 @@ def _more(found: Recording, *, has_step: bool) -> dict[str, float]:
         "renewed": float(np.mean(updated == 127)),
     }
     if has_step:
-        before = metrics.cut(found, (STEP - _BEFORE, STEP))
-        after = metrics.cut(found, (STEP, STEP + _TRANSIENT))
-        spike = metrics.cut(found, (STEP, STEP + _SPIKE))
-        later = metrics.cut(found, (STEP + _JUMP, STEP + _TRANSIENT))
-        rows = metrics.window_rows(found.state["period"], (STEP, w.end), found.T_s)
-        speed = found.state["speed"][rows] * 60.0 / metrics.TWO_PI
+        before = window.cut(found, (STEP - _BEFORE, STEP))
+        after = window.cut(found, (STEP, STEP + _TRANSIENT))
+        spike = window.cut(found, (STEP, STEP + _SPIKE))
+        later = window.cut(found, (STEP + _JUMP, STEP + _TRANSIENT))
+        rows = window.window_rows(found.state["period"], (STEP, w.end), found.T_s)
+        speed = found.state["speed"][rows] / RPM
         more |= {
             "before_error": _largest(before.error),
             "after_error": _largest(after.error),
@@ -222,7 +224,7 @@ def _more(found: Recording, *, has_step: bool) -> dict[str, float]:
             "spike": _largest(spike.error),
             "speed_dip": float(np.max(np.abs(speed - speed[-1]))),
             "torque_error": _torque_per_ampere(found)
-            * metrics.rms(after.i_dq.imag - _required(after.i_dq_ref).imag),
+            * waveform.rms(after.i_dq.imag - _required(after.i_dq_ref).imag),
         }
     return more
 
@@ -230,12 +232,12 @@ def _more(found: Recording, *, has_step: bool) -> dict[str, float]:
 def _required(values: Any) -> Any:
     """What every run of ours records."""
     if values is None:
-        raise metrics.MetricsError("the recording lacks lut_diagnostics")
+        raise window.MetricsError("the recording lacks lut_diagnostics")
     return values
 
 
 def _deviation_rms(w: Window) -> float:
-    return metrics.rms(np.abs(w.i_dq - _required(w.i_dq_ref)))
+    return waveform.rms(np.abs(w.i_dq - _required(w.i_dq_ref)))
 
 
 def _torque_per_ampere(found: Recording) -> float:
@@ -455,7 +457,7 @@ def _figure_7(r: Results) -> Iterator[Statement]:
     worst = r.each(STEADY, "mls_mfpcc", _error_worst)
     yield Statement(
         "7",
-        "The LUT error of MLS-MFPCC, d and q.",
+        "The prediction error of MLS-MFPCC, d and q.",
         "within 0.30 A",
         _list(worst, "A"),
         _within(max(worst), 0.30),
@@ -465,7 +467,7 @@ def _figure_7(r: Results) -> Iterator[Statement]:
         ours = r.each(STEADY, "mfpcc", _error_max(axis))
         yield Statement(
             "7",
-            f"The LUT error of MFPCC, {axis} axis.",
+            f"The prediction error of MFPCC, {axis} axis.",
             f"around {published:.2f} A",
             _list(ours, "A"),
             _near(float(np.mean(ours)), published),
@@ -475,7 +477,7 @@ def _figure_7(r: Results) -> Iterator[Statement]:
     larger = [value > rms[0] for value in rms[2:]]
     yield Statement(
         "7",
-        "The LUT error of MFPCC is larger at low and high speed.",
+        "The prediction error of MFPCC is larger at low and high speed.",
         "larger",
         _list((rms[2], rms[0], rms[3]), "A", 3),
         CONFIRMED if all(larger) else DIFFERS if any(larger) else NOT_CONFIRMED,
@@ -559,7 +561,7 @@ def _figure_9(r: Results) -> Iterator[Statement]:
     worst = [_error_worst(run) for run in mls]
     yield Statement(
         "9",
-        "The LUT error of MLS-MFPCC during the steps.",
+        "The prediction error of MLS-MFPCC during the steps.",
         "within 0.32 A",
         _list(worst, "A"),
         _within(max(worst), 0.32),
@@ -568,7 +570,7 @@ def _figure_9(r: Results) -> Iterator[Statement]:
     grown = [run.more["spike"] / run.more["before_error"] for run in mls]
     yield Statement(
         "9",
-        "MLS-MFPCC shows no spikes of the LUT error.",
+        "MLS-MFPCC shows no spikes of the prediction error.",
         "none",
         _list(grown, "times", 1),
         CONFIRMED if max(grown) <= 1.5 else DIFFERS if max(worst) <= 0.32 else NOT_CONFIRMED,
@@ -580,7 +582,7 @@ def _figure_9(r: Results) -> Iterator[Statement]:
     increased = [b > 1.1 * a for a, b in zip(before, after, strict=True)]
     yield Statement(
         "9",
-        "The LUT error of MFPCC increases after the steps.",
+        "The prediction error of MFPCC increases after the steps.",
         "increases",
         f"{before[0]:.2f} to {after[0]:.2f} A, {before[1]:.2f} to {after[1]:.2f} A",
         CONFIRMED if all(increased) else DIFFERS if any(increased) else NOT_CONFIRMED,

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-
-import jinja2
 
 from mfpcc_experiments.measuring.happened import scheme_title
 from mfpcc_experiments.paper.reproduce import (
@@ -21,7 +18,8 @@ from mfpcc_experiments.paper.reproduce import (
     Results,
     Statement,
 )
-from mfpcc_experiments.reporting.compare import COLUMNS, text
+from mfpcc_experiments.reporting import html
+from mfpcc_experiments.reporting.table import Line, lines
 from mfpcc_experiments.running import scenario
 
 _RANK = (CONFIRMED, DIFFERS, NOT_CONFIRMED, NOT_JUDGED)
@@ -56,17 +54,10 @@ def render(
     str
         A complete HTML page.
     """
-    templates = Path(__file__).parents[1] / "reporting" / "templates"
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(templates),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
     groups = _grouped(said)
     parts = ", ".join(title for title, _ in groups)
-    return environment.get_template("reproduce.html").render(
+    return html.page(
+        "reproduce.html",
         subtitle=f"{parts} · engine {engine} · seed {seed}",
         note=FITTED,
         counts=counts(said),
@@ -77,14 +68,10 @@ def render(
             for label, run in zip(labels(results), results.runs, strict=True)
             for note in run.row["notes"]
         ],
-        figures=[
-            (caption, path.name, base64.b64encode(path.read_bytes()).decode("ascii"))
-            for _, path, caption in figures
-        ],
+        figures=[(caption, path.name, html.embedded(path)) for _, path, caption in figures],
         tables=_tables(results),
         times=_times(results),
         made=_made(results, engine),
-        style=(templates / "report.css").read_text(encoding="utf-8"),
     )
 
 
@@ -108,20 +95,18 @@ def _grouped(said: Sequence[Statement]) -> list[tuple[str, list[dict[str, Any]]]
     return list(groups.items())
 
 
-def _tables(results: Results) -> list[tuple[str, str, list[Any], list[str]]]:
+def _tables(results: Results) -> list[tuple[str, str, list[Line], list[str]]]:
     """One table of metrics per experiment, one column per scheme."""
     tables = []
     for experiment in dict.fromkeys(run.experiment for run in results.runs):
         runs = [run for run in results.runs if run.experiment == experiment]
-        lines = []
-        for title, unit, key, _ in COLUMNS:
-            cells = [text(run.row, key, unit) for run in runs]
-            # the time of a step is measured apart
-            if key[0] != "step_time_us" and any(cell != "–" for cell in cells):
-                lines.append((title, unit, cells))
+        # the time of a step is measured apart
+        table = [
+            line for line in lines([r.row for r in runs]) if line.metric.path[0] != "step_time_us"
+        ]
         begin, end = runs[0].row["window_s"]
         description = f"{scenario.load(experiment).description}. From {begin:g} to {end:g} s."
-        tables.append((experiment, description, lines, [scheme_title(run.scheme) for run in runs]))
+        tables.append((experiment, description, table, [scheme_title(run.scheme) for run in runs]))
     return tables
 
 

@@ -19,8 +19,7 @@ from matplotlib.figure import Figure
 from mfpcc_msgs.msg import DriveState, PhaseFeedback
 from numpy.typing import NDArray
 
-from mfpcc_experiments.measuring.measured import COLOURS
-from mfpcc_experiments.reporting.figures import STYLE
+from mfpcc_experiments.reporting.style import COLOURS, STYLE
 from mfpcc_experiments.running.engine import Engine, Trace
 from pmsm_sim import flux_map
 from pmsm_sim.parameters import TABLE as PLANT

@@ -19,55 +19,16 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from mfpcc_experiments.measuring import metrics
-from mfpcc_experiments.measuring.measured import COLOURS, Measured
-
-#: Phases a, b, c, and references.
-PHASES = (COLOURS[0], COLOURS[1], COLOURS[2])
-REFERENCE = "#000000"
+from mfpcc_experiments.measuring import waveform
+from mfpcc_experiments.measuring.measured import Measured
+from mfpcc_experiments.measuring.window import Window
+from mfpcc_experiments.reporting.style import COLOURS, FORMATS, PHASES, REFERENCE, STYLE
 
 #: Electrical periods shown of the phase currents: in a steady state, and around a transient.
 STEADY_PERIODS, TRANSIENT_PERIODS = 2.0, 5.0
 
 #: Columns side by side in a figure; more of them go on below.
 MOST_COLUMNS = 4
-
-#: What all figures are drawn with: `with mpl.rc_context(STYLE)`.
-STYLE: Any = {
-    "font.size": 8.0,
-    "axes.titlesize": 9.0,
-    "axes.labelsize": 8.0,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": "#d9d9d9",
-    "grid.linewidth": 0.5,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.direction": "out",
-    "legend.fontsize": 7.5,
-    "legend.frameon": False,
-    "legend.handlelength": 1.6,
-    "lines.linewidth": 0.9,
-    "savefig.dpi": 220,
-    "savefig.facecolor": "white",
-    "figure.facecolor": "white",
-    "agg.path.chunksize": 20_000,
-    "path.simplify_threshold": 0.3,
-    "svg.hashsalt": "mfpcc",  # the same names inside the file each time
-    "pdf.fonttype": 42,  # text that can be searched and edited
-}
-
-#: Files of each figure, and what they say of their making: nothing that differs from run to run.
-FORMATS: dict[str, dict[str, None]] = {
-    ".png": {"Software": None},
-    ".svg": {"Date": None, "Creator": None},
-    ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-}
 
 
 def draw(runs: Sequence[Measured], folder: Path) -> dict[str, Path]:
@@ -258,9 +219,9 @@ def phase_currents(runs: Sequence[Measured]) -> Figure:
     return figure
 
 
-def _transient(w: metrics.Window) -> float:
+def _transient(w: Window) -> float:
     """Time of the largest change of the current from one electrical period to the next (s)."""
-    means = metrics.period_means(w.i_dq, w.theta)
+    means = waveform.period_means(w.i_dq, w.theta)
     samples = len(w.time) - len(means)  # of about one period, which each mean looks ahead
     if len(means) <= samples or samples == 0:
         return float(w.time[0])
@@ -318,7 +279,9 @@ def lut_error(runs: Sequence[Measured]) -> Figure | None:
     """Difference of measured and predicted current over the window."""
     if all(run.window.error is None for run in runs):
         return None
-    figure, axes = panels(_titles(runs), ["LUT error, d (A)", "LUT error, q (A)"], 1.3, "Time (s)")
+    figure, axes = panels(
+        _titles(runs), ["Prediction error, d (A)", "Prediction error, q (A)"], 1.3, "Time (s)"
+    )
     for row, axis_name in enumerate("dq"):
         shown = [np.zeros(1)]
         for axis, run in zip(axes[row], runs, strict=True):
@@ -341,14 +304,14 @@ def spectrum(runs: Sequence[Measured]) -> Figure | None:
     for run in runs:
         w = run.window
         if w.fine_abc is not None and w.fine_theta is not None:
-            part, key = metrics.fundamental(w.fine_abc[:, 0], w.fine_theta), "oversampled"
+            part, key = waveform.fundamental(w.fine_abc[:, 0], w.fine_theta), "oversampled"
         else:
-            part, key = metrics.fundamental(w.i_abc[:, 0], w.theta), "control"
+            part, key = waveform.fundamental(w.i_abc[:, 0], w.theta), "control"
         rate = run.row["sampling_rate_hz"][key]
         if part is None or run.row["thd_percent"][key] is None:
             parts.append(None)
         else:
-            parts.append((metrics.spectrum(part, rate), rate, part.thd))
+            parts.append((waveform.spectrum(part, rate), rate, part.thd))
     if not any(parts):
         return None
     figure, ((*axes,),) = panels(

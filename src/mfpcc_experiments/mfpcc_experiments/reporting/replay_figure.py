@@ -13,9 +13,10 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from mfpcc_experiments.measuring.happened import scheme_title
-from mfpcc_experiments.measuring.measured import COLOURS
-from mfpcc_experiments.measuring.replay import Replay, Samples, window_rows
-from mfpcc_experiments.reporting.figures import REFERENCE, STYLE, format_value, limits, note, save
+from mfpcc_experiments.measuring.replay import Replay, Samples
+from mfpcc_experiments.measuring.replay_summary import window_rows
+from mfpcc_experiments.reporting.figures import format_value, limits, note, save
+from mfpcc_experiments.reporting.style import COLOURS, REFERENCE, STYLE
 
 #: Time shown of the duties (s): a few tens of periods, so that single ones can be seen.
 _CLOSE_UP = 4e-3
@@ -49,7 +50,7 @@ def draw(
             figsize=(7.4, 0.85 + 1.15 * n), layout=ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03)
         )
         axes = figure.subplots(n, 3, sharex="col", sharey="col", squeeze=False)
-        titles = ("LUT error, d (A)", "LUT error, q (A)", "Duty of leg a")
+        titles = ("Prediction error, d (A)", "Prediction error, q (A)", "Duty of leg a")
         for axis, title in zip(axes[0], titles, strict=True):
             axis.set_title(title)
         for line, result, row in zip(axes, results, rows, strict=True):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.measuring import metrics
+from mfpcc_experiments.measuring import waveform
 from mfpcc_experiments.running.engine import Engine
 from pmsm_sim.parameters import TABLE as PLANT
 
@@ -75,9 +75,9 @@ class Run:
     def thd(self, start: float, end: float | None = None) -> float:
         """Total harmonic distortion (ratio) of phase a on the oversampled waveform."""
         rows = self.rows(start, end)
-        theta = self.controller.motor.n_p * metrics.unwrap(self.state["angle"][rows])
+        theta = self.controller.motor.n_p * waveform.unwrap(self.state["angle"][rows])
         i_a = self.i_abc[rows, :, 0]
-        thd = metrics.thd(i_a.ravel(), metrics.oversample_angle(theta, i_a.shape[1]))
+        thd = waveform.thd(i_a.ravel(), waveform.oversample_angle(theta, i_a.shape[1]))
         if thd is None:
             raise ValueError("no whole electrical period between these times")
         return thd

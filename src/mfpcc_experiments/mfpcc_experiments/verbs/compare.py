@@ -69,8 +69,8 @@ def command(
 def conclude(rows: list[dict[str, Any]], out: Path, *, strict: bool = False) -> None:
     """Print the table with its notes, and where the report is; end with the code of the notes."""
     from mfpcc_experiments import notes
-    from mfpcc_experiments.reporting import compare
+    from mfpcc_experiments.reporting import table
 
-    compare.print_table(rows)
+    table.print_table(rows)
     click.echo(f"report: {out / 'report.html'}")
     click.get_current_context().exit(notes.exit_code(rows, strict=strict))

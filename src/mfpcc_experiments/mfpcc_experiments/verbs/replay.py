@@ -66,7 +66,7 @@ def command(
     from mfpcc_experiments import notes
     from mfpcc_experiments.bags import recording
     from mfpcc_experiments.files import result_folder
-    from mfpcc_experiments.measuring import replay
+    from mfpcc_experiments.measuring import replay, replay_summary
     from mfpcc_experiments.progress import progress_bar
     from mfpcc_experiments.reporting import replay_figure
     from mfpcc_experiments.reporting.compare import write_whole
@@ -88,7 +88,7 @@ def command(
             verdict, error = _verify(replay.Samples(read, _motor(values)), begin("verify", 1.0))
             samples = replay.Samples(read, values)
             results = [replay.replay(samples, s, begin(s, 1.0)) for s in schemes]
-        rows = [replay.summary(samples, result) for result in results]
+        rows = [replay_summary.summary(samples, result) for result in results]
         replay_figure.draw(samples, results, rows, folder / "replay.png")
         write_whole(folder / "metrics.json", json.dumps(rows, indent=2) + "\n")
     _print(samples, results, rows)
@@ -139,7 +139,7 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
     from rich.table import Table as Grid
 
     from mfpcc_experiments import notes
-    from mfpcc_experiments.measuring import replay
+    from mfpcc_experiments.measuring import replay_summary
     from mfpcc_experiments.measuring.happened import scheme_title
 
     def number(value: float | None, digits: int = 3) -> str:
@@ -148,7 +148,7 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
     table = Grid(box=None, pad_edge=False, header_style="bold")
     table.add_column("", no_wrap=True)
     for title in (
-        "LUT (A)\nd max",
+        "error (A)\nd max",
         "\nq max",
         "\nd rms",
         "\nq rms",
@@ -162,9 +162,9 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
     def errors(row: dict[str, Any]) -> list[str]:
         return [number(row[f"lut_error_{k}"][a]) for k in ("max", "rms") for a in "dq"]
 
-    recorded = replay.recorded(samples)
+    recorded = replay_summary.recorded(samples)
     if recorded is not None:
-        name = replay.recorded_scheme(samples)
+        name = replay_summary.recorded_scheme(samples)
         table.add_row(f"recorded ({name})", *errors(recorded))
     for row in rows:
         first = row["first_difference"]
@@ -183,12 +183,12 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
         "of the duties, of the mean voltage, equal commands, and the first period with another one "
         "(of the whole recording)."
     )
-    of_all = {"notes": [note.to_json() for note in replay.recorded_notes(samples)]}
+    of_all = {"notes": [note.to_json() for note in replay_summary.recorded_notes(samples)]}
     own = [
-        {"notes": [note.to_json() for note in replay.own_notes(samples, result)]}
+        {"notes": [note.to_json() for note in replay_summary.own_notes(samples, result)]}
         for result in results
     ]
-    titles = [f"recorded ({scheme_title(replay.recorded_scheme(samples))})"]
+    titles = [f"recorded ({scheme_title(replay_summary.recorded_scheme(samples))})"]
     titles += [scheme_title(row["scheme"]) for row in rows]
     for line in notes.lines([of_all, *own], titles):
         click.echo(line)

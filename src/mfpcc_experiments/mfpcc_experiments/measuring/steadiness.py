@@ -1,0 +1,316 @@
+"""
+What a window is fit for: whether it is steady, complete, of one scheme, and of a driven motor.
+
+THD and ripple are figures of a steady state. A window in which speed, load or current change, or
+that is too short to tell, has none; nor has one with the gates off, with several schemes in
+control, or with samples missing. Whatever is missing, a note says why.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mfpcc_experiments.measuring.waveform import (
+    PARTS_AT_STANDSTILL,
+    STANDSTILL,
+    Array,
+    period_means,
+    rms,
+    turns,
+    unwrap,
+)
+from mfpcc_experiments.measuring.window import Window, speeds, window_rows
+from mfpcc_experiments.notes import Note, failure, info
+from pwm_node.units import RPM
+
+if TYPE_CHECKING:
+    from mfpcc_experiments.bags import Recording
+    from mfpcc_experiments.measuring.happened import History
+
+#: Electrical periods that a window must hold: what is steady can be told by comparison only, of one
+#: period with another that begins later.
+FEWEST_PERIODS = 1.5
+
+#: Deviation of the mean current over one electrical period, over its size, and of the speed, from
+#: which on a window holds a transient. The largest seen in a steady state are 0.025 and 0.003
+#: (one vector per period, 18 % THD).
+TRANSIENT = 0.05
+
+# A slow change below that is one too if it makes so much of the content that THD and ripple count;
+# below the second share of the current it is never.
+_OF_CONTENT, _NO_CHANGE = 0.3, 0.005
+
+# What is small for a motor: so much of its largest current, speed or torque.
+_SMALL = 0.01
+
+# The fewest samples of a part of a window at standstill.
+_FEWEST_SAMPLES = 20
+
+
+def can_be_judged(theta: Array) -> bool:
+    """
+    Whether a window is long enough to tell if it is steady.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (n,)
+        Electrical angle, unwrapped (rad).
+    """
+    n, turned = len(theta), float(turns(theta)[-1])
+    if turned < STANDSTILL:
+        return n >= PARTS_AT_STANDSTILL * _FEWEST_SAMPLES
+    return turned * (1.0 + 1.5 / (n - 1)) >= FEWEST_PERIODS
+
+
+def is_steady(
+    i_dq: NDArray[np.complex128],
+    theta: Array,
+    *,
+    i_max: float = 0.0,
+    waveform: NDArray[np.complex128] | None = None,
+) -> bool:
+    """
+    Whether the current stands still over a window; THD and ripple are defined only then.
+
+    Its mean over one electrical period may move by so little that it is neither a transient of its
+    own nor a good part of what THD and ripple count.
+
+    Parameters
+    ----------
+    i_dq : ndarray, shape (n,), complex
+        Current in the rotor frame (A).
+    theta : ndarray, shape (n,)
+        Electrical angle, unwrapped (rad).
+    i_max : float
+        Largest current of the motor (A), if known: a hundredth of it is no current.
+    waveform : ndarray, complex, optional
+        The oversampled current (A), whose content counts then.
+    """
+    means = period_means(i_dq, theta)
+    if not len(means):
+        return False
+    whole = i_dq if waveform is None else waveform
+    size = max(abs(complex(np.mean(means))), _SMALL * i_max)
+    away = np.abs(means - np.mean(means))
+    moved, content = rms(away), rms(np.abs(whole - np.mean(whole)))
+    if moved > max(_NO_CHANGE * size, _OF_CONTENT * content):
+        return False
+    return bool(np.max(away) <= TRANSIENT * size)
+
+
+class Need(StrEnum):
+    """What a window, or its run, must offer for a figure; as the reference page prints it."""
+
+    STEADY = "a steady state"
+    DRIVEN = "gates on"
+    ONE_SCHEME = "one scheme in control"
+    THROUGHOUT = "one scheme in the whole run, gates on"
+    SPEED = "`drive_state` or `phase_feedback`"
+    FEEDBACK = "`phase_feedback`"
+    COMMAND = "`duty_command`"
+    DIAGNOSTICS = "`lut_diagnostics`"
+    STATE = "`drive_state`"
+
+
+class Fitness:
+    """
+    What a window is fit for.
+
+    Parameters
+    ----------
+    recording : Recording
+        What was recorded.
+    w : Window
+        Its window.
+    past : History
+        What happened in it.
+    first, end : int
+        Periods of the window, from and to (not included).
+
+    Attributes
+    ----------
+    steady : bool or None
+        None where it cannot be judged.
+    lacks : set of Need
+        What it does not offer: a figure that needs one of them is not to be given.
+    notes : list of Note
+        What keeps figures from being given.
+    """
+
+    def __init__(
+        self, recording: Recording, w: Window, past: History, first: int, end: int
+    ) -> None:
+        self.notes: list[Note] = []
+        self.lacks: set[Need] = set()
+        self._past, self._first, self._end = past, first, end
+        self._off = past.is_off_in(first, end)
+        schemes = {(reign.scheme, reign.chosen) for reign in past.reigns_in(first, end)}
+        self._mixed = len(schemes) > 1
+        if self._off:
+            self.lacks.add(Need.DRIVEN)
+        if self._mixed:
+            self.lacks.add(Need.ONE_SCHEME)
+        self._judge_samples(recording)
+        self.steady = self._judge_steady(recording, w)
+        if not self.steady:
+            self.lacks.add(Need.STEADY)
+        self._judge_topics(recording, w)
+        self._judge_step_time(recording)
+
+    def _judge_samples(self, recording: Recording) -> None:
+        """Whether all messages of the window are there, topic by topic."""
+        first, end = self._first, self._end
+        expected = (
+            ("phase_feedback", recording.feedback, first, Need.FEEDBACK),
+            # there is none for period 0
+            ("duty_command", recording.command, max(first, 1), Need.COMMAND),
+            ("lut_diagnostics", recording.lut, first, Need.DIAGNOSTICS),
+            ("drive_state", recording.state, first, Need.STATE),
+        )
+        for topic, rows, begin, need in expected:
+            missing = _missing(rows["period"], begin, end) if len(rows) else 0
+            if not missing:
+                continue
+            self.lacks.add(need)
+            self.notes.append(
+                failure(
+                    f"{missing} of the {end - begin} periods of the window "
+                    f"{'are' if missing > 1 else 'is'} missing in {topic}: no figure that "
+                    "needs them"
+                )
+            )
+        if Need.FEEDBACK in self.lacks and not len(recording.state):
+            self.lacks.add(Need.SPEED)
+
+    def _judge_steady(self, recording: Recording, w: Window) -> bool | None:
+        """Whether the window holds a steady state; tells why not."""
+        if self._off:
+            self.notes.append(info("no figures that need a driven motor: the gates were off"))
+            return False
+        if Need.FEEDBACK in self.lacks:
+            return None
+        why = _transients(recording, w, self._past, self._first, self._end)
+        if self._mixed:
+            why.insert(0, "several schemes controlled")
+        if not why and not can_be_judged(w.theta):
+            turned = float(turns(w.theta)[-1])
+            self.notes.append(
+                info(
+                    f"whether it is steady cannot be judged: the window holds {turned:.1f} "
+                    f"electrical periods, and at least {FEWEST_PERIODS} are needed; no THD and no "
+                    "ripple"
+                )
+            )
+            return None
+        if why:
+            also = ", and no prediction error of either scheme" if self._mixed else ""
+            self.notes.append(
+                info(
+                    f"not steady ({'; '.join(why)}): no THD and no ripple{also}, but the "
+                    "deviation from the reference"
+                )
+            )
+        return not why
+
+    def _judge_topics(self, recording: Recording, w: Window) -> None:
+        """Say what was not recorded."""
+        if not len(recording.lut):
+            text = "no lut_diagnostics in the recording: no prediction error, no deviation"
+            self.notes.append(info(text))
+        if not len(recording.state):
+            text = "no drive_state in the recording: no torque, and the speed is the encoder's"
+            self.notes.append(info(text))
+        elif w.fine_abc is None and self.steady:
+            text = "no oversampled waveform in the recording: THD and ripple of the samples only"
+            self.notes.append(info(text))
+
+    def _judge_step_time(self, recording: Recording) -> None:
+        """The computing time is of the whole run: it is a scheme's if that controlled in all."""
+        schemes = {(reign.scheme, reign.chosen) for reign in self._past.reigns}
+        if recording.summary.get("step_time_us") and (len(schemes) > 1 or self._past.offs):
+            self.lacks.add(Need.THROUGHOUT)
+            self.notes.append(
+                info("no computing time: one scheme did not control throughout, with the gates on")
+            )
+
+
+def _missing(period: NDArray[np.uint64], first: int, end: int) -> int:
+    """Periods from `first` to before `end` that a topic, decimated or not, has no rows for."""
+    step = np.diff(period.astype(np.int64))
+    usual = int(np.median(step)) if len(step) else 1
+    begin, stop = np.searchsorted(period, np.array([first, end], dtype=np.uint64))
+    inside = period[begin:stop].astype(np.int64)
+    if not len(inside):
+        return (end - first) // usual * usual if end - first >= usual else 0
+    gaps = np.diff(inside)
+    count = int(np.sum(gaps[gaps > usual] // usual - 1))
+    count += max(0, int(inside[0]) - first) // usual
+    count += max(0, end - 1 - int(inside[-1])) // usual
+    return count * usual
+
+
+def _transients(recording: Recording, w: Window, past: History, first: int, end: int) -> list[str]:
+    """What changes within a window, in words; nothing in a steady state."""
+    T_s, n_p = recording.T_s, recording.n_p or 1
+    motor = recording.config.get("motor_file")
+    motor = motor if isinstance(motor, dict) else {}
+    i_max = float(motor.get("i_max", 0.0))
+    w_max = float(motor.get("speed_max_rpm", 0.0)) * RPM
+    tau_max = 1.5 * n_p * float(motor.get("psi_f", 0.0)) * i_max
+    why = [
+        f"{change.name} set to {_shown(change.value)} at {change.period * T_s:.3f} s"
+        for change in past.changes
+        if first < change.period < end and change.name != "scheme"
+    ][:3]
+    lut = recording.lut[window_rows(recording.lut["period"], (w.begin, w.end), T_s)]
+    if len(lut) and not why:
+        why += _reference_changes(lut)
+    state = recording.state[window_rows(recording.state["period"], (w.begin, w.end), T_s)]
+    if len(state) >= 8 and not why:
+        load = state["load_torque"]
+        small = _SMALL * max(float(np.mean(np.abs(load))), tau_max)
+        means = period_means(load, n_p * unwrap(state["angle"]))
+        if np.max(np.abs(np.diff(load))) > small or (len(means) and np.ptp(means) > 2 * small):
+            why.append(f"the load changes between {load.min():.3g} and {load.max():.3g} N m")
+    speed = speeds(recording, w)
+    means = period_means(speed, w.theta) / RPM
+    if len(means) and not why:
+        small = TRANSIENT * max(float(np.mean(np.abs(means))), _SMALL * w_max / RPM, 1e-3)
+        if np.ptp(means) > small:
+            low, high = sorted((float(means[0]), float(means[-1])))
+            if high - low <= small:
+                low, high = float(means.min()), float(means.max())
+            why.append(f"the speed changes between {low:.0f} and {high:.0f} r/min")
+    judged = can_be_judged(w.theta)
+    if judged and not why and not is_steady(w.i_dq, w.theta, i_max=i_max, waveform=w.fine_dq):
+        size = np.abs(period_means(w.i_dq, w.theta))
+        why.append(f"the current changes between {size.min():.3g} and {size.max():.3g} A")
+    return why
+
+
+def _reference_changes(lut: NDArray[Any]) -> list[str]:
+    """What is asked for from outside, and changes: a speed, or in current control a current."""
+    speed_ref = lut["speed_ref"]
+    in_speed = np.isfinite(speed_ref)
+    if in_speed.any() and not in_speed.all():
+        return ["the control mode changes"]
+    if in_speed.all():
+        if np.ptp(speed_ref) == 0.0:
+            return []
+        low, high = (v / RPM for v in (speed_ref.min(), speed_ref.max()))
+        return [f"the speed reference changes between {low:.0f} and {high:.0f} r/min"]
+    spans = np.ptp(lut["i_dq_ref"], axis=0)
+    axis = int(np.argmax(spans))
+    if spans[axis] == 0.0:
+        return []
+    ref = lut["i_dq_ref"][:, axis]
+    name = "dq"[axis]
+    return [f"the reference of i_{name} changes between {ref.min():.3g} and {ref.max():.3g} A"]
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
