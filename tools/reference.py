@@ -1,4 +1,4 @@
-"""Write docs/reference.md: parameters, topics, services and commands, as the code has them.
+"""Write docs/reference.md: parameters, topics, services, metrics, commands, as the code has them.
 
 `make docs` runs it. Nodes are made and asked what they publish, parameters come from the nodes'
 tables, message fields from the comments of the .msg files, commands from their own help, so the
@@ -37,6 +37,8 @@ from mfpcc_experiments.graph.black_box import DIRECTORY, PARAMETER, BlackBoxNode
 from mfpcc_experiments.graph.recorder import Recorder
 from mfpcc_experiments.graph.replayer import TABLE as REPLAYER
 from mfpcc_experiments.graph.replayer import Replayer
+from mfpcc_experiments.measuring.metrics import METRICS
+from mfpcc_experiments.measuring.steadiness import Need
 from mfpcc_experiments.running import scenario
 from pmsm_sim import motor
 from pmsm_sim import protection as plant_protection
@@ -392,6 +394,34 @@ def of_faults() -> Iterator[str]:
     )
 
 
+def of_metrics() -> Iterator[str]:
+    """The figures of merit, from their entries."""
+    yield "## Figures of merit"
+    yield ""
+    yield (
+        "These are the figures in `metrics.json`; a dot goes into a group. A figure is null where "
+        "the evaluation window does not offer what it needs, and `notes` then says why. Less is "
+        "better where the last column says so; the lowest is then marked in tables. What else "
+        "stands in the file is explained in [experiments](experiments.md#figures-of-merit)."
+    )
+    yield ""
+    yield from table(
+        ("Key", "Name", "Unit", "Meaning", "Needs", "Better"),
+        (
+            (
+                f"`{metric.key}`",
+                metric.title,
+                metric.unit,
+                metric.meaning,
+                ", ".join(need.value for need in Need if need in metric.needs),
+                "less" if metric.less_is_better else "",
+            )
+            for metric in METRICS
+        ),
+    )
+    yield ""
+
+
 def first_sentence(text: str) -> str:
     """The first sentence of a docstring."""
     flat = " ".join(text.split("\n\n")[0].split())
@@ -482,6 +512,7 @@ def main() -> None:
             *of_messages(),
             *of_parameters(nodes[-1].describe_parameter(PARAMETER)),
             *of_faults(),
+            *of_metrics(),
             *of_files(),
             *of_commands(),
         ]

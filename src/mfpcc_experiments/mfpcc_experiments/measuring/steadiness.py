@@ -110,10 +110,10 @@ class Need(StrEnum):
     ONE_SCHEME = "one scheme in control"
     THROUGHOUT = "one scheme in the whole run, gates on"
     SPEED = "`drive_state` or `phase_feedback`"
-    FEEDBACK = "`phase_feedback`"
-    COMMAND = "`duty_command`"
-    DIAGNOSTICS = "`lut_diagnostics`"
-    STATE = "`drive_state`"
+    FEEDBACK = "no gap in `phase_feedback`"
+    COMMAND = "no gap in `duty_command`"
+    DIAGNOSTICS = "no gap in `lut_diagnostics`"
+    STATE = "no gap in `drive_state`"
 
 
 class Fitness:
