@@ -8,6 +8,7 @@ each has to succeed. A comment before a block says where that is not so:
                                           section (##), where it gets Ctrl-C; the nodes are awaited
     <!-- shell: fails -->                 it ends with an error
     <!-- not run: REASON -->              it is not executed
+    <!-- drives trip on this page -->     elsewhere on a page: a fault may switch the gates off
 
 What a `text` block after a shell block shows is what that prints; `...` stands for anything. A
 block of another language is the file that the paragraph before it names. What takes minutes is not
@@ -73,6 +74,8 @@ xdg-open() { [[ $1 == *.html ]]; }
 
 #: What a drive says of a fault: it is to be seen only where a page speaks of that.
 GATES_OFF = "gates off until"
+#: What a page says of itself whose drives may do so.
+TRIPS = "<!-- drives trip on this page -->"
 
 #: How an indented block begins that is no formula and no listing.
 COMMANDS = ("export", "make", "mfpcc", "pip", "pytest", "python", "ros2", "source", "xdg-open")
@@ -244,7 +247,7 @@ def shown(line: str, process: Process) -> bool:
 @pytest.mark.skipif(shutil.which("ros2") is None, reason="needs `source setup.bash`")
 @pytest.mark.parametrize("name", [name for name in NAMES if commands(ROOT / name)])
 def test_commands_do_what_the_page_says(name: str, tmp_path: Path, domain: int) -> None:
-    trips = GATES_OFF in (ROOT / name).read_text()  # a page about faults
+    trips = TRIPS in (ROOT / name).read_text()
     with contextlib.closing(Desk(tmp_path, domain, trips=trips)) as desk:
         for block in blocks(ROOT / name):
             try:
