@@ -8,7 +8,7 @@ each has to succeed. A comment before a block says where that is not so:
                                           section (##), where it gets Ctrl-C; the nodes are awaited
     <!-- shell: fails -->                 it ends with an error
     <!-- not run: REASON -->              it is not executed
-    <!-- drives trip on this page -->     elsewhere on a page: a fault may switch the gates off
+    <!-- drives may trip on this page -->     elsewhere on a page: a fault may switch the gates off
 
 What a `text` block after a shell block shows is what that prints; `...` stands for anything. A
 block of another language is the file that the paragraph before it names. What takes minutes is not
@@ -75,7 +75,7 @@ xdg-open() { [[ $1 == *.html ]]; }
 #: What a drive says of a fault: it is to be seen only where a page speaks of that.
 GATES_OFF = "gates off until"
 #: What a page says of itself whose drives may do so.
-TRIPS = "<!-- drives trip on this page -->"
+TRIPS = "<!-- drives may trip on this page -->"
 
 #: How an indented block begins that is no formula and no listing.
 COMMANDS = ("export", "make", "mfpcc", "pip", "pytest", "python", "ros2", "source", "xdg-open")

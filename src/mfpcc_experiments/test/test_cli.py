@@ -66,8 +66,8 @@ def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Fake:
     stand_in = Fake()
     modules = {
         "running.run": SimpleNamespace(run=stand_in.run),
-        "reporting.compare": SimpleNamespace(
-            compare=stand_in.compare,
+        "reporting.compare": SimpleNamespace(compare=stand_in.compare),
+        "reporting.table": SimpleNamespace(
             print_table=lambda rows: print("table:", *(row["scheme"] for row in rows)),
         ),
         "bags.recover": SimpleNamespace(recover=lambda path: f"{path}: 10 messages saved"),

@@ -65,11 +65,12 @@ def python(code: str, environment: dict[str, str]) -> str:
     done = subprocess.run(
         [sys.executable, "-c", code],
         env=environment,
-        check=True,
+        check=False,
         timeout=PATIENCE,
         capture_output=True,
         text=True,
     )
+    assert done.returncode == 0, done.stderr
     return done.stdout
 
 
@@ -93,8 +94,8 @@ def test_the_command_on_the_page_works(environment, tmp_path):
     assert command is not None
     out = tmp_path / "out"
     code = (
-        "import sys; from mfpcc_experiments.cli import main; "
-        f"sys.argv = ['mfpcc', *{command.group(1)!r}.split(), '--out', {str(out)!r}]; main()"
+        "import sys; from mfpcc_experiments import cli; "
+        f"sys.exit(cli.run([*{command.group(1)!r}.split(), '--out', {str(out)!r}]))"
     )
     python(code, environment)
     rows = json.loads((out / "metrics.json").read_text())

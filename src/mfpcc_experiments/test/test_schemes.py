@@ -460,7 +460,7 @@ def test_diagnostics_tell_what_the_scheme_does():
     for scheme, lut in shown.items():
         gradients = lut["gradient_re"] + 1j * lut["gradient_im"]
         forced = np.abs(gradients[:, 1:])
-        learns = scheme in ("mls_mfpcc", "mfpcc", "mfpcc_two_vector")
+        learns = scheme in ("mls_mfpcc", "mls_mfpcc_paper", "mfpcc", "mfpcc_two_vector")
         assert np.median(forced) == pytest.approx(2.0 / 3.0 * 311.0 * 1e-4 / 15e-3, rel=0.25)
         for a, b in itertools.pairwise(range(1, 7)):
             turned = np.median(np.angle(gradients[:, b] / gradients[:, a]))

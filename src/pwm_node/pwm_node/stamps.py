@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pwm_node.compiled import kernel
 
 SECOND = 1_000_000_000  # ns
+LAST_SECOND = 2**31 - 1  # s, that a stamp can hold
 
 _BITS = 53  # of the mantissa of a float
 

@@ -89,6 +89,10 @@ class StatusPublisher:
 
 
 def _stamped(message: Any, period: int, pwm_frequency: float) -> Any:
-    """Give a message the simulated time at which its period begins."""
+    """Give a message the simulated time at which its period begins, or the last that it can hold.
+
+    Period numbers come from others, and a wrong one is no reason to say nothing.
+    """
+    period = min(period, int(stamps.LAST_SECOND * pwm_frequency))
     message.stamp.sec, message.stamp.nanosec = stamps.begin(period, pwm_frequency)
     return message
