@@ -19,14 +19,8 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
 from mfpcc_experiments.measuring.happened import scheme_title
-from mfpcc_experiments.paper.reproduce import (
-    FITTED,
-    MISMATCHES,
-    STEADY,
-    STEPS,
-    Results,
-    Run,
-)
+from mfpcc_experiments.paper.runs import MISMATCHES, STEADY, STEPS, Results, Run, Shown
+from mfpcc_experiments.paper.statements import FITTED
 from mfpcc_experiments.reporting.figures import format_value, limits, note, save
 from mfpcc_experiments.reporting.style import COLOURS, REFERENCE, STYLE
 
@@ -63,14 +57,14 @@ class Quantity:
     """
 
     label: str
-    draw: Callable[[Axes, Run], list[Any]]
+    draw: Callable[[Axes, Shown], list[Any]]
     remark: Callable[[Run], str] = lambda run: ""
 
 
 # --- Quantities ----------------------------------------------------------------------------------
 
 
-def _phase_current(axis: Axes, run: Run) -> list[Any]:
+def _phase_current(axis: Axes, run: Shown) -> list[Any]:
     w = run.shown
     time, current = w.time, w.i_abc[:, 0]
     if w.fine_time is not None and w.fine_abc is not None:
@@ -79,8 +73,8 @@ def _phase_current(axis: Axes, run: Run) -> list[Any]:
     return [current]
 
 
-def _current(part: str) -> Callable[[Axes, Run], list[Any]]:
-    def draw(axis: Axes, run: Run) -> list[Any]:
+def _current(part: str) -> Callable[[Axes, Shown], list[Any]]:
+    def draw(axis: Axes, run: Shown) -> list[Any]:
         w = run.shown
         values = getattr(w.i_dq, part)
         axis.plot(w.time, values, color=COLOURS[part == "imag"], lw=0.5)
@@ -93,8 +87,8 @@ def _current(part: str) -> Callable[[Axes, Run], list[Any]]:
     return draw
 
 
-def _error(n: int, *, evaluated: bool) -> Callable[[Axes, Run], list[Any]]:
-    def draw(axis: Axes, run: Run) -> list[Any]:
+def _error(n: int, *, evaluated: bool) -> Callable[[Axes, Shown], list[Any]]:
+    def draw(axis: Axes, run: Shown) -> list[Any]:
         w = run.window if evaluated else run.shown
         assert w.error is not None  # every run of ours records it
         axis.plot(w.lut_time, w.error[:, n], color=COLOURS[n], lw=0.4)
@@ -103,7 +97,7 @@ def _error(n: int, *, evaluated: bool) -> Callable[[Axes, Run], list[Any]]:
     return draw
 
 
-def _speed(axis: Axes, run: Run) -> list[Any]:
+def _speed(axis: Axes, run: Shown) -> list[Any]:
     drawn = []
     styles: dict[str, dict[str, Any]] = {
         "speed": {"color": COLOURS[3], "lw": 0.9},
@@ -175,14 +169,14 @@ class Block:
     ----------
     title : str
         What they have in common.
-    runs : sequence of Run
+    runs : sequence of (Run, Shown)
         One per column.
     letters : str
         Of the paper's panels, one per column.
     """
 
     title: str
-    runs: Sequence[Run]
+    runs: Sequence[tuple[Run, Shown]]
     letters: str
 
 
@@ -195,7 +189,7 @@ def draw(results: Results, figures: Iterable[str], folder: Path) -> Iterator[tup
     results : Results
         The runs that they need.
     figures : iterable of str
-        Keys of `reproduce.FIGURES`.
+        Keys of `runs.FIGURES`.
     folder : Path
         Where the PNG files go; it exists.
 
@@ -213,13 +207,17 @@ def draw(results: Results, figures: Iterable[str], folder: Path) -> Iterator[tup
 Picture = tuple[str, str, Figure]
 
 
+def _both(r: Results, experiment: str, scheme: str) -> tuple[Run, Shown]:
+    return r.run(experiment, scheme), r.shown[experiment, scheme]
+
+
 def _figure_6(r: Results) -> Iterator[Picture]:
     for part, experiments, what in (
         ("i", STEADY[:2], "at 750 r/min under 2 and 5 N m"),
         ("ii", STEADY[2:], "under 2 N m at 300 and 1000 r/min"),
     ):
         blocks = [
-            Block(_CONDITIONS[e], [r.run(e, s) for s in _THREE], letters)
+            Block(_CONDITIONS[e], [_both(r, e, s) for s in _THREE], letters)
             for e, letters in zip(experiments, ("abc", "def"), strict=True)
         ]
         yield (
@@ -237,7 +235,7 @@ def _figure_7(r: Results) -> Iterator[Picture]:
         ("ii", STEADY[2:], "under 2 N m at 300 and 1000 r/min"),
     ):
         blocks = [
-            Block(scheme_title(s), [r.run(e, s) for e in experiments], letters)
+            Block(scheme_title(s), [_both(r, e, s) for e in experiments], letters)
             for s, letters in zip(_TWO, ("ab", "cd"), strict=True)
         ]
         yield (
@@ -254,7 +252,7 @@ def _figure_7(r: Results) -> Iterator[Picture]:
 
 def _figure_8(r: Results) -> Iterator[Picture]:
     blocks = [
-        Block(_CONDITIONS[e], [r.run(e, s) for s in _THREE], letters)
+        Block(_CONDITIONS[e], [_both(r, e, s) for s in _THREE], letters)
         for e, letters in zip(STEPS, ("abc", "def"), strict=True)
     ]
     yield (
@@ -267,7 +265,7 @@ def _figure_8(r: Results) -> Iterator[Picture]:
 
 def _figure_9(r: Results) -> Iterator[Picture]:
     blocks = [
-        Block(scheme_title(s), [r.run(e, s) for e in STEPS], letters)
+        Block(scheme_title(s), [_both(r, e, s) for e in STEPS], letters)
         for s, letters in zip(_TWO, ("ab", "cd"), strict=True)
     ]
     yield (
@@ -280,7 +278,7 @@ def _figure_9(r: Results) -> Iterator[Picture]:
 
 def _figure_10(r: Results) -> Iterator[Picture]:
     blocks = [
-        Block(scheme_title(s), [r.run(e, s) for e in MISMATCHES], letters)
+        Block(scheme_title(s), [_both(r, e, s) for e in MISMATCHES], letters)
         for s, letters in zip(_ROBUST, ("abc", "def", "ghi"), strict=True)
     ]
     yield (
@@ -324,8 +322,8 @@ def _draw(
             axes[-1][column].xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
         for n_row, quantity in enumerate(rows):
             values: list[Any] = []
-            for axis, run in zip(axes[n_row], block.runs, strict=True):
-                values += quantity.draw(axis, run)
+            for axis, (run, shown) in zip(axes[n_row], block.runs, strict=True):
+                values += quantity.draw(axis, shown)
                 if quantity.remark(run):
                     note(axis, quantity.remark(run))
                 axis.margins(x=0)

@@ -8,21 +8,23 @@ from pathlib import Path
 from typing import Any
 
 from mfpcc_experiments.measuring.happened import scheme_title
-from mfpcc_experiments.paper.reproduce import (
+from mfpcc_experiments.notes import Severity
+from mfpcc_experiments.paper.judging import (
+    BY_CHANCE,
     CONFIRMED,
     DIFFERS,
-    FITTED,
-    NOT_CONFIRMED,
     NOT_JUDGED,
-    TIMES,
-    Results,
+    VERDICTS,
     Statement,
 )
+from mfpcc_experiments.paper.runs import TIMES, Results
+from mfpcc_experiments.paper.statements import FITTED
 from mfpcc_experiments.reporting import html
 from mfpcc_experiments.reporting.table import Line, lines
 from mfpcc_experiments.running import scenario
 
-_RANK = (CONFIRMED, DIFFERS, NOT_CONFIRMED, NOT_JUDGED)
+# Of the verdicts, by the classes of the page: as it should be, in part, and (all others) not.
+_COLOURS = {CONFIRMED: 0, DIFFERS: 1, BY_CHANCE: 1}
 
 
 def render(
@@ -31,7 +33,6 @@ def render(
     figures: Sequence[tuple[str, Path, str]],
     *,
     engine: str,
-    seed: int,
 ) -> str:
     """
     Make the report.
@@ -43,11 +44,9 @@ def render(
     said : sequence of Statement
         What the paper says of them.
     figures : sequence of (str, Path, str)
-        From `paper_figures.draw`.
+        From `figures.draw`.
     engine : str
-        What the runs were made with.
-    seed : int
-        Seed of all noise.
+        What the recordings were made with.
 
     Returns
     -------
@@ -58,15 +57,17 @@ def render(
     parts = ", ".join(title for title, _ in groups)
     return html.page(
         "reproduce.html",
-        subtitle=f"{parts} · engine {engine} · seed {seed}",
+        subtitle=f"{parts} · engine {engine} · {_seeds(results)}",
         note=FITTED,
         counts=counts(said),
         said=groups,
         total=len(said),
+        seeds=len(results.seeds),
         notes=[
             (label, note)
             for label, run in zip(labels(results), results.runs, strict=True)
             for note in run.row["notes"]
+            if run.seed == results.seeds[0] or note["severity"] != Severity.INFO
         ],
         figures=[(caption, path.name, html.embedded(path)) for _, path, caption in figures],
         tables=_tables(results),
@@ -77,13 +78,28 @@ def render(
 
 def counts(said: Sequence[Statement]) -> list[tuple[str, int]]:
     """How many statements have each verdict; that some are not judged is an exception."""
-    found = [(verdict, sum(s.verdict == verdict for s in said)) for verdict in _RANK]
+    found = [(verdict, sum(s.verdict == verdict for s in said)) for verdict in VERDICTS]
     return [entry for entry in found if entry[1] or entry[0] != NOT_JUDGED]
+
+
+def agreement(s: Statement) -> str:
+    """How the seeds judged, where they do not all agree."""
+    if len(s.seeds) == 1:
+        return ""
+    return ", ".join(f"{v} {s.seeds[v]}" for v in VERDICTS if v in s.seeds)
 
 
 def labels(results: Results) -> list[str]:
     """Names of the runs, for their notes."""
-    return [f"{scheme_title(run.row['scheme'])}, {run.experiment}" for run in results.runs]
+    return [
+        f"{scheme_title(run.row['scheme'])}, {run.experiment}, seed {run.seed}"
+        for run in results.runs
+    ]
+
+
+def _seeds(results: Results) -> str:
+    first, last = results.seeds[0], results.seeds[-1]
+    return f"seed {first}" if first == last else f"seeds {first} to {last}"
 
 
 def _grouped(said: Sequence[Statement]) -> list[tuple[str, list[dict[str, Any]]]]:
@@ -91,15 +107,16 @@ def _grouped(said: Sequence[Statement]) -> list[tuple[str, list[dict[str, Any]]]
     groups: dict[str, list[dict[str, Any]]] = {}
     for s in said:
         title = "Computing times" if s.figure == "times" else f"Figure {s.figure}"
-        groups.setdefault(title, []).append({**asdict(s), "rank": _RANK.index(s.verdict)})
+        entry = {**asdict(s), "colour": _COLOURS.get(s.verdict, 2), "agreement": agreement(s)}
+        groups.setdefault(title, []).append(entry)
     return list(groups.items())
 
 
 def _tables(results: Results) -> list[tuple[str, str, list[Line], list[str]]]:
     """One table of metrics per experiment, one column per scheme."""
     tables = []
-    for experiment in dict.fromkeys(run.experiment for run in results.runs):
-        runs = [run for run in results.runs if run.experiment == experiment]
+    for experiment in dict.fromkeys(run.experiment for run in results.recorded):
+        runs = [run for run in results.recorded if run.experiment == experiment]
         # the time of a step is measured apart
         table = [
             line for line in lines([r.row for r in runs]) if line.metric.path[0] != "step_time_us"
@@ -133,11 +150,21 @@ def _made(results: Results, engine: str) -> str:
         "ros": "both nodes on a real ROS 2 graph, every message recorded",
         "inprocess": "the same plant and controller code as the nodes', without the graph",
     }[engine]
-    periods = sum(run.row["periods"] for run in results.runs)
-    lost = sum(run.row["lost_periods"] for run in results.runs)
+    recorded = results.recorded
+    periods = sum(run.row["periods"] for run in recorded)
+    lost = sum(run.row["lost_periods"] for run in recorded)
+    others = len(results.runs) - len(recorded)
+    also = (
+        f" {others} more runs, with other seeds of the noise, were made in process, where they "
+        "give the same samples as on the graph; they leave no recording, and metrics.json holds "
+        "what was measured."
+        if others
+        else " No other seed was run: what depends on chance cannot be told."
+    )
     return (
-        f"{len(results.runs)} runs, {periods} periods of the PWM, {lost} of them lost; engine "
-        f"'{engine}': {how}. The recordings lie beside this page, one folder per experiment: "
+        f"{len(recorded)} recorded runs of seed {results.seeds[0]}, {periods} periods of the PWM, "
+        f"{lost} of them lost; engine '{engine}': {how}. The figures and the tables of numbers are "
+        f"of these.{also} The recordings lie beside this page, one folder per experiment: "
         "'mfpcc compare' and 'mfpcc replay' take them. Current sensors with 20 mA rms of noise on "
         "i_d and i_q, ideal encoder and inverter: the paper's are not known."
     )
