@@ -24,13 +24,14 @@ from mfpcc_controller.parameters import SCHEMES
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.measuring.happened import scheme_title
 from mfpcc_experiments.reporting.style import COLOURS, REFERENCE, STYLE
-from mfpcc_experiments.running.closed_loop import Run, run
+from mfpcc_experiments.running.closed_loop import Array, Run, run
 from mfpcc_experiments.running.engine import step_time
 
 ENCODER = {"sensor.encoder_lines": 2500}
 LOAD_STEP = ("0.2 load_torque 5.0",)
 MISMATCH = {"a": (0.5, 0.1, 2.0), "b": (2.0, 10.0, 0.7), "c": (2.0, 1.0, 2.0)}
 DRAWS = 1000
+DIRTY_DRAWS = 120
 
 Rows = list[list[str]]
 
@@ -62,6 +63,28 @@ def random_drive(seed: int) -> dict[str, Any]:
         "controller": wrong_model(*map(float, ratios)),
         "schedule": [f"0.1 load_torque {float(after)}"],
     }
+
+
+def dirty_drive(seed: int) -> dict[str, Any]:
+    """Options of `run` for a random drive none of whose parts is ideal.
+
+    Besides what `random_drive` draws: encoder of 500 to 5000 lines; sensors of 1 to 5 kHz, or that
+    sample up to half a period early; dead time to 3 us; fifth harmonic of the EMF to 6 %; noise of
+    1 to 63 mA.
+    """
+    options = random_drive(seed)
+    random = np.random.default_rng([seed, 1])
+    plant: dict[str, Any] = {
+        "sensor.encoder_lines": int(random.integers(500, 5001)),
+        "inverter.dead_time": float(random.uniform(0.0, 3e-6)),
+        "machine.emf_5": float(random.uniform(0.0, 0.06)),
+        "noise.current_rms": float(10.0 ** random.uniform(-3.0, -1.2)),
+    }
+    if random.random() < 0.5:
+        plant["sensor.current_bandwidth"] = float(random.uniform(1e3, 5e3))
+    else:
+        plant["sensor.sampling_lead"] = float(random.uniform(0.0, 0.5))
+    return {**options, "plant": plant}
 
 
 def settled(r: Run, ripple: float) -> bool:
@@ -238,45 +261,106 @@ def sector_search() -> Rows:
     return rows
 
 
-def extensions() -> Rows:
-    """What each step beyond the paper brings."""
-    paper = {"mls.map_rate": 0.0, "mls.window": 5}
-    cases: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
-        ("`ipmsm`, 100 r/min, 5 N m", {"motor": "ipmsm", "rpm": 100.0, "load": 5.0}, {}),
-        ("`ipmsm`, 750 r/min, 2 N m", {"motor": "ipmsm"}, {}),
-        (
-            "the same, saturated, 8 N m",
-            {"motor": "ipmsm", "load": 8.0},
-            {"machine.flux_map": "ipmsm_saturated"},
-        ),
-        ("`seed_750`, 300 r/min, 2 N m", {"rpm": 300.0}, {}),
-        ("the same at 750 r/min, 2 us dead time", {}, {"inverter.dead_time": 2e-6}),
-        ("the same at 100 r/min", {"rpm": 100.0}, {"inverter.dead_time": 2e-6}),
-    )
-    columns: tuple[tuple[str, str, dict[str, Any]], ...] = (
-        ("`mbpcc`, true model", "mbpcc", {}),
-        ("no learning from the moving voltage", "mls_mfpcc", paper),
-        ("`mls_mfpcc`", "mls_mfpcc", {}),
-        ("with `mls.compensate_inverter`", "mls_mfpcc", {"mls.compensate_inverter": True}),
-    )
-    rows = [["THD (%)", *(title for title, _, _ in columns)]]
-    for name, options, plant in cases:
+#: What a drive has that simulations leave out: options of `run` on top of the encoder.
+REALITY: dict[str, dict[str, Any]] = {
+    "ideal": {},
+    "sensors of 3 kHz": {"plant": {"sensor.current_bandwidth": 3e3}},
+    "sensors of 2 kHz": {"plant": {"sensor.current_bandwidth": 2e3}},
+    "sensors of 1 kHz": {"plant": {"sensor.current_bandwidth": 1e3}},
+    "sampled half a period early": {"plant": {"sensor.sampling_lead": 0.5}},
+    "the same, `ipmsm`": {"motor": "ipmsm", "plant": {"sensor.sampling_lead": 0.5}},
+    "noise of 2 mA": {"plant": {"noise.current_rms": 0.00245}},
+    "noise of 100 mA": {"plant": {"noise.current_rms": 0.1225}},
+    "converters of 10 bits": {"plant": {"sensor.adc_bits": 10}},
+    "encoder of 500 lines": {"plant": {"sensor.encoder_lines": 500}},
+    "dead time 2 us": {"plant": {"inverter.dead_time": 2e-6}},
+    "dead time 4 us": {"plant": {"inverter.dead_time": 4e-6}},
+    "EMF: 8 % 5th, 5 % 7th": {"plant": {"machine.emf_5": 0.08, "machine.emf_7": -0.05}},
+    "`textbook_spmsm`, 1500 r/min, 5 % 5th": {
+        "motor": "textbook_spmsm",
+        "rpm": 1500.0,
+        "plant": {"machine.emf_5": 0.05},
+    },
+    "`ipmsm`, saturated, 8 N m": {
+        "motor": "ipmsm",
+        "load": 8.0,
+        "plant": {"machine.flux_map": "ipmsm_saturated"},
+    },
+    "PWM 4 kHz": {
+        "plant": {"pwm_frequency": 4e3},
+        "controller": {"pwm_frequency": 4e3},
+    },
+    "PWM 40 kHz": {
+        "plant": {"pwm_frequency": 40e3},
+        "controller": {"pwm_frequency": 40e3},
+    },
+}
+SEEDS = range(1, 11)
+SLOWER_PI = {"pi.bandwidth": 908.0}
+
+
+def real_run(scheme: str, case: str, seed: int, oversampling: int = 0) -> Run:
+    """A steady run of 0.4 s with one piece of reality."""
+    options = dict(REALITY[case])
+    options["plant"] = {**ENCODER, **options.get("plant", {})}
+    controller = {**options.pop("controller", {}), **(SLOWER_PI if scheme == "pi_foc" else {})}
+    return run(scheme, 0.4, seed=seed, oversampling=oversampling, controller=controller, **options)
+
+
+def reality() -> Rows:
+    """Ripple and distortion with what simulations leave out; medians of ten seeds."""
+    schemes = ("mbpcc", "pi_foc", "mls_mfpcc_paper", "mls_mfpcc")
+    rows = [["ripple d / q (A); THD (%)", *(f"`{scheme}`" for scheme in schemes)]]
+    for case in REALITY:
         cells = []
-        for _, scheme, controller in columns:
-            thd = [
-                run(
-                    scheme,
-                    0.6,
-                    seed=seed,
-                    oversampling=20,
-                    plant={**ENCODER, **plant},
-                    controller=controller,
-                    **options,
-                ).thd(0.3)
-                for seed in (1, 2)
+        for scheme in schemes:
+            runs = [real_run(scheme, case, seed, 20) for seed in SEEDS]
+            d, q = np.median([r.ripple(0.2) for r in runs], axis=0)
+            thd = 100.0 * np.median([r.thd(0.2) for r in runs])
+            cells.append(f"{d:.2f} / {q:.2f}; {thd:.2f}")
+        rows.append([case, *cells])
+    return rows
+
+
+def dirty() -> Rows:
+    """Random drives none of whose parts is ideal."""
+    rows = [
+        [
+            "scheme, its model",
+            "settled",
+            "error over that of the better of both true models: median",
+            "90 %",
+            "largest",
+        ]
+    ]
+    cases = [dirty_drive(seed) for seed in range(5000, 5000 + DIRTY_DRAWS)]
+
+    def errors(scheme: str, wrong: bool) -> tuple[list[bool], Array]:
+        good, rms = [], []
+        for case in cases:
+            controller = dict(case["controller"]) if wrong else {}
+            if scheme == "pi_foc":
+                controller |= SLOWER_PI
+            r = run(scheme, 0.3, **{**case, "controller": controller})
+            good.append(r.controller.faults() == [] and bool(r.ripple(0.2).max() < 0.9))
+            rms.append(np.sqrt(np.mean(r.error(0.2) ** 2)))
+        return good, np.array(rms)
+
+    found = {(s, False): errors(s, False) for s in ("mbpcc", "pi_foc")}
+    best = np.minimum(found["mbpcc", False][1], found["pi_foc", False][1])
+    for scheme in ("mbpcc", "pi_foc", "mls_mfpcc_paper", "mls_mfpcc"):
+        found[scheme, True] = errors(scheme, True)
+    for (scheme, wrong), (good, rms) in found.items():
+        over = rms / best
+        rows.append(
+            [
+                f"`{scheme}`, {'wrong' if wrong else 'true'}",
+                f"{100.0 * np.mean(good):.1f} %",
+                f"{np.median(over):.2f}",
+                f"{np.quantile(over, 0.9):.2f}",
+                f"{np.max(over):.1f}",
             ]
-            cells.append(f"{100.0 * np.mean(thd):.2f}")
-        rows.append([name, *cells])
+        )
     return rows
 
 
@@ -304,7 +388,8 @@ TABLES: dict[str, Callable[[], Rows]] = {
     "survival": survival,
     "motors": motors,
     "sectors": sector_search,
-    "extensions": extensions,
+    "reality": reality,
+    "dirty": dirty,
     "times": times,
 }
 
@@ -463,15 +548,16 @@ def figure_switching() -> Figure:
 
 
 def figure_inverter() -> Figure:
-    """Dead time, with and without what the table learns of it."""
+    """Dead time, with a true model that does not know of it, and learned."""
     figure, axes = _panels(3, "seed_750, 100 r/min, 2 N m, dead time 2 us")
     options: dict[str, Any] = {
         "rpm": 100.0,
         "plant": {**ENCODER, "inverter.dead_time": 2e-6},
         "oversampling": 4,
     }
-    for axis, name, on in zip(axes, ("as it is", "compensated"), (False, True), strict=False):
-        r = run("mls_mfpcc", 0.8, controller={"mls.compensate_inverter": on}, **options)
+    for axis, scheme, colour in zip(axes, ("mbpcc", "mls_mfpcc"), COLOURS, strict=False):
+        name = scheme_title(scheme)
+        r = run(scheme, 0.8, **options)
         rows = slice(6000, None)
         for phase in range(3):
             axis.plot(1e3 * _time(r)[rows], r.i_abc[rows, 0, phase], color=COLOURS[phase], lw=0.7)
@@ -479,7 +565,7 @@ def figure_inverter() -> Figure:
         axes[2].plot(
             1e3 * _time(r)[rows],
             _smoothed(r.lut["i_dq"][:, 0])[rows],
-            color=COLOURS[int(on)],
+            color=colour,
             label=name,
         )
     axes[2].set_ylabel("$i_d$, mean\nof 2 ms (A)")

@@ -104,7 +104,7 @@ def test_the_first_command_that_is_not_reproduced_is_named(bags: Callable[[str],
 
 def test_a_change_of_the_scheme_is_found(bags: Callable[[str], Path]) -> None:
     read = recording.read(bags("mls_mfpcc"))
-    samples = replay.Samples(read, {"mls.eta_min": 0.2})
+    samples = replay.Samples(read, {"mismatch.inductance": 2.0})
     with pytest.raises(replay.ReplayError, match="has changed since"):
         replay.require_same(samples, replay.verify(samples))
 

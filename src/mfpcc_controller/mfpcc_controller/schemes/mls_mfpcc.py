@@ -1,52 +1,73 @@
 """MLS-MFPCC: three vectors, a table of current gradients kept true by moving least squares.
 
-No motor parameter is used once the table is filled. Each period the error of the last prediction
-is shared among the natural entry and the two vectors that were applied (method section 5), a
-weighted least-squares fit over the last shares gives their corrections, and symmetry carries them
-to all six forced entries (section 6). Beyond the paper:
+What moves the current in one period is fitted by weighted least squares to the recent past, with no
+parameter of the motor but a first guess of its inductance. In the rotor frame, with real
+coefficients,
 
-*The table as a map.* Six forced entries with the paper's symmetry are a linear map from voltage to
-gradient. The memory holds it as such, in two complex numbers: the answers to 1 V on the d and on
-the q axis, in the rotor frame. There the map of a salient machine is constant too (in the
-stationary frame, where the entries of a machine without saliency are constants, a salient one's
-turn with the rotor); per volt it does not mind a DC link that sags.
+    i(k+1) - i(k) = B_0 u(k) + B_1 u(k-1) - w T_s B J B^-1 i(k)
+                    + A i_s(k) + E w + c + D s(i_s) + w (C cos 6 theta + S sin 6 theta)
 
-*Learning from the moving part of the voltage.* An error that stays can be the natural entry's or
-the forced ones', and it does not matter whose. An error that moves with the voltage is the map's
-alone. So a second, slow correction fits the map to the deviations v of the voltage and e' of the
-error from their means over some periods:
+u is the mean voltage of a period in the rotor frame of its middle, theta is taken there too, and
+B = B_0 + B_1. The seven entries of the table are B's answers to the seven vectors, and the natural
+one is all the rest. (The paper's symmetric entries *are* such a linear map; here it is per volt, so
+that a DC link that sags does not touch it, and in the rotor frame, where that of a salient machine
+is constant too.)
 
-    m_d <- m_d + k_d e',  m_q <- m_q + k_q e',    k_d = mu v_d / (mean v_d^2 + v_d^2), k_q likewise
+*Two taps.* What the current sensor delays, by its bandwidth or because it samples early, shows one
+period later. With B_0 alone the map would be learned too small, down to half, which is the edge of
+a deadbeat loop's stability.
 
-with the natural entry moved against it, so that the prediction at the mean voltage stays. What the
-noise of the sensors makes the voltage move is enough to learn from: it finds both inductances of a
-salient machine within some 50 ms, at any speed, and a deadbeat loop with the right gains is
-quieter. The shares of section 5 alone cannot: they go with the square of the dwell times, which are
-small at low speed. While errors are large, mu is ten times as large.
+*The turn of the frame.* The flux, T_s B^-1 i, turns against the rotor frame by w T_s. So this part
+of the natural response is known from the map itself, saliency included.
 
-*The turn of the frame.* Of the natural response, -1j omega T_s i is due to the turn of the rotor
-frame alone, and known without a parameter of the motor. The natural entry holds the rest, which
-changes less when the current steps.
+*What is fitted, and to what.* The increment is that of the *measured* currents. Its noise is
+n(k+1) - n(k), and the voltages of the periods k and k - 1 were decided before n(k) was seen: they
+do not contain it. (Fitted to the error e of the prediction instead, whose current is filtered, the
+map comes out at 1.5 times the truth: that error contains the same old noise as the voltage which
+answered it.) With the filter below, the error to learn from is
 
-*The encoder's steps* turn the measured current to and fro, and the loop answers to that with
-voltage. Where the currents are quiet, this is most of what moves, and taken for an answer to the
-voltage it would bend the map by half. What the rotor observer cannot follow is known for a step of
-the encoder and is taken out of the error before anything is learned from it.
+    e'(k+1) = e(k+1) - (1 - l) e(k)
 
-*The learning rate* follows the square of the error, `eta_max - (eta_max - eta_min) e_0^2 / (e_0^2 +
-|e|^2)`: of the paper's words (smooth at small errors, rapid at large ones) as true a reading as an
-exponential, and quieter, since noise hardly moves it.
+less what the encoder's steps have turned the current by, which the rotor observer cannot follow.
 
-*The bound* acts on the error as it comes in, so that no correction exceeds g_max and no outlier
-stays in the window.
+*i_s* is the reference that the current has by now, and the predicted current where it is off by
+more than noise explains. The deadbeat voltage is B^-1 (i_ref - i), so that noise moves current and
+voltage as one; whatever goes with the current would be mistaken for an answer to the voltage.
 
-*Recursive sums.* The weighted sums over the window are carried on from period to period; a limited
-window takes out the sample that leaves it. Without a limit the forgetting factor alone ends it.
+*Legs.* s is the space vector of the signs of the phase currents: dead time and on-state voltages
+take from each leg a voltage with the sign of its current. *EMF.* Its 5th and 7th harmonics are the
+6th in the rotor frame.
 
-*A start without a bump.* At the first sample with a known past, the natural entry is what the last
-increment of the current leaves. An empty table is filled by a few short pulses first.
+*Memory by directions.* The fit is recursive, with a covariance P that says how well each direction
+is known (a Kalman filter whose coefficients walk at random about their first guess):
 
-*The inverter's legs*, an option: see `leg_drop`.
+    K = P x / (r + x' P x),  theta <- theta + K e',  P <- P - K x' P
+
+and each period one row and column of P is drawn a little towards the first guess's. Where nothing
+moves, nothing is learned, and two causes that cannot be told apart stay as they were between
+themselves. The constant c takes what no regressor explains; it follows with a fixed share of each
+error, whatever the noise is. r, the mean square of e', counts every error by at most 25 times its
+expectation.
+
+*Small errors.* What is left in a drive without noise is slow, coherent and not of this model (the
+speed estimate's delay, a second-order term); over thousands of samples it would bend the map in
+directions that hardly move. So an error below 0.1 % of the current limit goes to the constant
+alone.
+
+*The observer.* Control starts from `i_f = i_hat + l e`. A prediction that is right leaves errors
+without memory; positive correlation of one error and the next says that l is too small, negative
+that it is too large. So l is moved by e(k) e(k-1). An error beyond what noise explains is followed
+at once (l = 1).
+
+*Control.* From the predicted sample, the current that comes when what is under way has arrived is
+`i~ = i_hat(k+1) + B_1 (u(k) - u_0)` with the voltage u_0 that holds it; the next voltage brings
+that to the reference: `u(k+1) = u_0(i~) + B^-1 (i_ref - i~)`. The loop has the whole gain in any
+case.
+
+*Start.* The first guess of B is the model's mean inductance, or (`mls.start: empty`) what moves the
+current by its limit in one period: the largest of any motor, so that the first moves are small. The
+guess may be wrong by ten; the first periods, mostly of zero voltage, tell the natural response, and
+the moves that follow the map. After a switch the constant takes the last increment.
 """
 
 from __future__ import annotations
@@ -57,211 +78,149 @@ from typing import Any
 
 import numpy as np
 
-from mfpcc_controller import leg_drop, search
+from mfpcc_controller import search
 from mfpcc_controller.diagnostics import show_gradients, show_shares
 from mfpcc_controller.schemes.built_in import BuiltIn
-from mfpcc_controller.vectors import (
-    ACTIVE_LENGTH,
-    DIRECTIONS,
-    SIN_60,
-    cross,
-    next_vector,
-    scaled,
-    set_output,
-    square,
-)
+from mfpcc_controller.vectors import ACTIVE_LENGTH, SIN_60, next_vector, scaled, square
 from pwm_node.compiled import kernel
-from pwm_node.parameters import Parameter, Value
+from pwm_node.parameters import Parameter
 
-# Keeps the fit defined for a vector that was hardly applied; far below any dwell that matters.
-_EPS = 1e-6
+# Regressors: u(k), u(k-1), i (2 each), w, 1, s (2), cos 6 theta, sin 6 theta
+_N = 12
+_CONSTANT = 7
 
-# Mean square voltage deviation below which little is learned from it, over the square of u_dc: 1 V
-# of 311 V. Without noise the voltage hardly moves, and what then moves with it (a change of speed)
-# is not its answer.
-_V_SQ_MIN = 1e-5
+# How far from its first guess each coefficient may be, for regressors of about one. The unit is
+# the first guess of the gain G (A) of a period with the largest voltage; of A, the current limit.
+_WIDTHS = (1.5, 1.5, 0.3, 0.3, 0.03, 0.03, 3.0, 1.0, 0.03, 0.03, 0.1, 0.1)
+_OF_CURRENT = (4, 5)
 
+# Share of the first guess's variance by which the coefficients walk in _WALK_TIME (s)
+_WALK = 2e-5
+_WALK_TIME = 0.05
+# Share of an error that the constant follows at least
+_FOLLOW = 0.03
 
-# Self-commissioning: dwell of the first and the longest pulses, and the answer that is enough,
-# over the current limit.
-_FIRST_PULSE = 0.01
-_LAST_PULSE = 0.5
-_ANSWER = 0.1
+# Noise: first guess, which counts as so many samples, and least value, over the current limit; how
+# many samples it is a mean of; how many times its expectation an error may count; beyond _LOUD
+# times it is not noise
+_NOISE_FIRST, _NOISE_FIRST_SAMPLES = 1e-2, 10.0
+_NOISE_LEAST = 2e-3
+_NOISE_MEMORY = 500.0
+_LIMIT = 25.0
+_LOUD = 25.0
+# An error below this share of the least noise (squares) goes to the constant alone.
+_QUIET = 0.25
+# Differences of the current and its reference up to so many times the noise are noise.
+_NEAR = 4.0
 
-# Longest limited moving-least-squares window
-_WINDOW_MAX = 32
+# Currents of this share of the limit have a sign; below it goes over smoothly, as that of a leg
+# does (the current of a leg ripples, and is clamped at zero).
+_SIGN = 0.03
 
-# A fresh map, and one whose errors stay large, is learned faster by this factor; it comes to be
-# learned faster, and slower again, in this time (s).
-_HASTE = 10.0
-_HASTE_TIME = 0.02
+# The observer's share: first value, bounds, and rates of itself and of the variance it is based on
+_SHARE = 0.5
+_SHARE_LEAST, _SHARE_MOST = 0.1, 0.95
+_SHARE_RATE = 0.01
 
-# Error at which the learning rate is halfway, and largest change of a gradient in one period, over
-# the current limit, where the parameters leave them open
-_BY_ITSELF = 0.025
+# A map flatter than this (its determinant over the square of its size) is none of a motor.
+_FLAT = 0.02
 
 PARAMETERS = (
     Parameter(
         "mls.start",
         "model",
-        "What the table of mls_mfpcc holds at first: the model's mean inductance, or nothing, "
-        "which is then measured by a few short pulses",
+        "What mls_mfpcc starts from: the model's mean inductance, or nothing of the motor but its "
+        "current limit",
         choices=("model", "empty"),
-    ),
-    Parameter(
-        "mls.window",
-        0,
-        "Samples in the moving-least-squares window; 0: all, the forgetting factor alone limits it",
-        minimum=0,
-        maximum=_WINDOW_MAX,
-    ),
-    Parameter("mls.beta", 0.8, "Forgetting factor of the window", minimum=0.0, maximum=1.0),
-    Parameter("mls.eta_min", 0.02, "Learning rate at small errors", minimum=0.0, maximum=1.0),
-    Parameter("mls.eta_max", 0.5, "Learning rate at large errors", minimum=0.0, maximum=1.0),
-    Parameter(
-        "mls.e_0",
-        0.0,
-        "Error at which the learning rate is halfway from small to large; 0: 2.5 % of the "
-        "motor's current limit",
-        unit="A",
-        minimum=0.0,
-        maximum=1e3,
-    ),
-    Parameter(
-        "mls.g_max",
-        0.0,
-        "Largest change of a gradient in one period; 0: 2.5 % of the motor's current limit",
-        unit="A",
-        minimum=0.0,
-        maximum=1e3,
-    ),
-    Parameter(
-        "mls.map_rate",
-        0.005,
-        "Rate at which the forced entries follow what the moving part of the voltage tells; "
-        "0: the paper's update alone",
-        minimum=0.0,
-        maximum=1.0,
-    ),
-    Parameter(
-        "mls.map_memory",
-        2e-3,
-        "Memory of the voltage's mean, from which its moving part is counted",
-        unit="s",
-        minimum=1e-3,
-        maximum=10.0,
-    ),
-    Parameter(
-        "mls.compensate_inverter",
-        False,
-        "mls_mfpcc learns what dead time and on-state voltages take from the inverter's legs, "
-        "and adds it",
     ),
 )
 
-
-def _check(values: Mapping[str, Value]) -> str | None:
-    low, high = values["mls.eta_min"], values["mls.eta_max"]
-    if low > high:  # type: ignore[operator]
-        return f"'mls.eta_min' = {low} must not exceed 'mls.eta_max' = {high}"
-    if values["mls.beta"] == 1.0 and values["mls.window"] == 0:
-        return "'mls.window' = 0 (not limited) needs 'mls.beta' below 1: something has to end it"
-    return None
-
-
 CFG = np.dtype(
     [
-        ("empty", np.bool_),  # start with nothing in the table
-        ("window", np.int64),  # 0: not limited
-        ("beta", np.float64),
-        ("oldest", np.float64),  # weight of the sample that leaves the window
-        ("mean", np.float64),  # 1 / sum of all weights
-        ("eta_max", np.float64),
-        ("eta_span", np.float64),  # eta_max - eta_min
-        ("e_0_sq", np.float64),  # (A^2)
-        ("e_max_sq", np.float64),  # (g_max / eta_max)^2 (A^2)
-        ("mu", np.float64),  # rate of learning the map
-        ("mu_most", np.float64),  # while errors are large
-        ("mu_span", np.float64),  # their difference
-        ("gamma", np.float64),
-        ("settle", np.float64),  # share of a period in the time in which mu comes and goes
-        ("inverter", np.bool_),  # whether to compensate what the inverter's legs lose
+        ("empty", np.bool_),
+        ("u", np.float64),  # unit of the voltage: the largest there is in every direction (V)
+        ("per_u", np.float64),
+        ("per_i", np.float64),  # 1 / current limit (1/A)
+        ("per_w", np.float64),  # 1 / top speed (s/rad, electrical)
+        ("slope", np.float64),  # of the signs (1/A)
+        ("walk", np.float64),  # share by which a row of P is drawn to the first guess, in its turn
+        ("least_noise", np.float64),  # (A^2)
     ],
     align=True,
 )
 
 MEMORY = np.dtype(
     [
-        ("ready", np.bool_),  # the look-up table holds something
-        # the table: the natural entry (A per period, dq), and the forced entries as a linear map,
-        # which they are by their symmetry: answer to 1 V on the d and on the q axis (A/V, dq)
+        ("ready", np.bool_),  # there is a table
+        ("begun", np.bool_),  # x, the filter and the past voltage are those of this run
+        # coefficients of d and q (A), their covariance (A^2; its lower half), its first diagonal
+        ("d", np.float64, (_N,)),
+        ("q", np.float64, (_N,)),
+        ("P", np.float64, (_N, _N)),
+        ("P_first", np.float64, (_N,)),
+        ("row", np.int64),  # of P, whose turn it is
+        ("x", np.float64, (_N,)),  # regressors of the period that the next error is about
+        ("x_next", np.float64, (_N,)),  # those of the period after it that are no voltage
+        ("Px", np.float64, (_N,)),
+        ("of_voltage", np.float64),  # share of the last error that went to B
+        ("s", np.float64),  # expected square of the error, per axis (A^2)
+        ("r", np.float64),  # mean square of the noise, per axis (A^2)
+        ("samples", np.float64),  # that it is a mean of
+        ("learned_at", np.uint64),  # period of the last update
+        # observer
+        ("i_f", np.complex128),  # filtered current (A)
+        ("share", np.float64),  # l
+        ("e", np.complex128),  # last error, and what of it the filter left (A)
+        ("e_left", np.complex128),
+        ("e_sq", np.float64),  # mean of |e|^2 (A^2)
+        # references of the samples before: what the current has to be at k + 1 and at k
+        ("i_due_next", np.complex128),
+        ("i_due", np.complex128),
+        ("u_past", np.complex128),  # voltage of the period before, over its unit (dq)
+        # the table: natural entry (A per period, dq), and answers to 1 V on the d and the q axis
         ("g_0", np.complex128),
         ("m_d", np.complex128),
         ("m_q", np.complex128),
-        ("learned_at", np.uint64),  # period of the last update
-        # weighted sums over the window, and the norms of the active vectors' (dq)
-        ("sum_0", np.complex128),
-        ("sum_a", np.complex128),
-        ("sum_b", np.complex128),
-        ("norm_a", np.float64),
-        ("norm_b", np.float64),
-        ("pair", np.int64),  # vector a of the pair that the window is for
-        ("pair_age", np.int64),  # periods since its first sample
-        # what is in a limited window
-        ("head", np.int64),
-        ("e_0", np.complex128, (_WINDOW_MAX,)),
-        ("e_a", np.complex128, (_WINDOW_MAX,)),
-        ("e_b", np.complex128, (_WINDOW_MAX,)),
-        ("q_a", np.float64, (_WINDOW_MAX,)),
-        ("q_b", np.float64, (_WINDOW_MAX,)),
-        # voltage of the period that the next error is about, its mean and mean square deviation
-        ("u_dq", np.complex128),  # (V)
-        ("u_mean", np.complex128),
-        ("var_d", np.float64),  # (V^2)
-        ("var_q", np.float64),
-        ("e_mean", np.complex128),  # mean of the error (A)
-        ("rate", np.float64),  # of learning from the moving part of the voltage
-        ("begun", np.bool_),  # the natural entry is that of this run
-        # 1 / (sin(60 degrees) |u_j|), and the least variance, for the u_dc they were computed for
-        ("per_volt", np.float64),
-        ("floor", np.float64),
-        ("u_dc", np.float64),
-        ("drop", leg_drop.MEMORY),
-        # self-commissioning
-        ("stage", np.int64),
-        ("dwell", np.float64),
-        ("du", np.complex128, (3,)),  # voltages of the pulses (V, dq)
-        ("di", np.complex128, (3,)),  # and what the current did (A)
     ],
     align=True,
 )
 
 
 def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
-    """Take over the parameters; the sums of another window are forgotten."""
-    own, lut, T_s = cfg["mls_mfpcc"], mem["mls_mfpcc"], cfg["T_s"]
-    window, beta = values["mls.window"], values["mls.beta"]
-    if (own["window"], own["beta"]) != (window, beta):
-        lut["pair"] = -1
-        for name in ("sum_0", "sum_a", "sum_b", "norm_a", "norm_b", "e_0"):
-            lut[name] = 0.0
+    """Take over the parameters."""
+    own, i_max = cfg["mls_mfpcc"], cfg["i_max"]
     own["empty"] = values["mls.start"] == "empty"
-    own["window"] = window
-    own["beta"] = beta
-    own["oldest"] = beta**window if window else 0.0
-    own["mean"] = 1.0 / (window if beta == 1.0 else (1.0 - own["oldest"]) / (1.0 - beta))
-    own["eta_max"] = values["mls.eta_max"]
-    own["eta_span"] = values["mls.eta_max"] - values["mls.eta_min"]
-    by_itself = _BY_ITSELF * cfg["i_max"]
-    own["e_0_sq"] = (values["mls.e_0"] or by_itself) ** 2
-    g_max = values["mls.g_max"] or by_itself
-    own["e_max_sq"] = (g_max / max(values["mls.eta_max"], 1e-9)) ** 2
-    own["inverter"] = values["mls.compensate_inverter"]
-    own["mu"] = values["mls.map_rate"]
-    own["mu_most"] = _HASTE * values["mls.map_rate"]
-    own["mu_span"] = own["mu_most"] - values["mls.map_rate"]
-    own["settle"] = T_s / _HASTE_TIME
-    own["gamma"] = T_s / values["mls.map_memory"]
+    own["u"] = cfg["u_dc"] / math.sqrt(3.0)
+    own["per_u"] = 1.0 / own["u"]
+    own["per_i"] = 1.0 / i_max
+    own["per_w"] = 0.01 / cfg["w_rest"]
+    own["slope"] = 1.0 / (_SIGN * i_max)
+    own["walk"] = 0.5 * _N * _WALK * cfg["T_s"] / _WALK_TIME
+    own["least_noise"] = (_NOISE_LEAST * i_max) ** 2
+
+
+@kernel
+def _fill(cfg, mem):
+    """First guess of the coefficients: a gain, isotropic, and nothing natural."""
+    own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
+    gain = cfg.i_max if own.empty else 2.0 * cfg.T_s / (cfg.L_d + cfg.L_q) * own.u
+    for a in range(_N):
+        lut.d[a], lut.q[a] = 0.0, 0.0
+        width = _WIDTHS[a] * (cfg.i_max if a in _OF_CURRENT else gain)
+        lut.P_first[a] = width * width
+        for b in range(_N):
+            lut.P[a, b] = 0.0
+        lut.P[a, a] = width * width
+    lut.d[0], lut.q[1] = gain, gain
+    lut.row = 0
+    lut.r = (_NOISE_FIRST * cfg.i_max) ** 2
+    lut.samples = _NOISE_FIRST_SAMPLES
+    lut.share = _SHARE
+    lut.e_sq = 0.0
+    lut.s = lut.r
+    lut.learned_at = mem.period
+    lut.begun = False
+    lut.ready = True
 
 
 @kernel
@@ -271,198 +230,145 @@ def _response(lut, u_dq):
 
 
 @kernel
-def _forget(lut):
-    """Empty the window, since what is in it does not belong to the samples to come."""
-    lut.pair = -1
-    lut.sum_0 = 0j
-    for n in range(lut.e_0.shape[0]):
-        lut.e_0[n] = 0j
-    lut.begun = False
-    lut.stage = 0
+def _signs(slope, i_dq, turn):
+    """Space vector (dq) of the signs of the phase currents."""
+    i_ab = i_dq * turn.conjugate()
+    i_a = i_ab.real
+    i_b = -0.5 * i_a + SIN_60 * i_ab.imag
+    s_a = min(max(slope * i_a, -1.0), 1.0)
+    s_b = min(max(slope * i_b, -1.0), 1.0)
+    s_c = min(max(-slope * (i_a + i_b), -1.0), 1.0)
+    return complex((2.0 * s_a - s_b - s_c) / 3.0, (s_b - s_c) * SIN_60 / 1.5) * turn
 
 
 @kernel
-def _fill(mem, m_d, m_q):
-    """A first table."""
-    lut = mem.mls_mfpcc
-    lut.g_0, lut.m_d, lut.m_q = 0j, m_d, m_q
-    lut.learned_at = mem.period
-    # also what a table that failed has left
-    lut.sum_a, lut.sum_b = 0j, 0j
-    lut.norm_a, lut.norm_b = 0.0, 0.0
-    lut.var_d, lut.var_q = 0.0, 0.0
-    lut.drop.volts, lut.drop.mean, lut.drop.variance = 0.0, 0j, 0.0
-    lut.ready = True
-    _forget(lut)
+def _settled(noise, i, due):
+    """`due`, plus what of i - due is more than noise on an axis."""
+    d, q = i.real - due.real, i.imag - due.imag
+    return complex(
+        due.real + d - min(max(d, -noise), noise), due.imag + q - min(max(q, -noise), noise)
+    )
 
 
 @kernel
-def _fill_from_model(cfg, mem):
-    """First table: isotropic at the mean inductance of the controller's model, nothing natural."""
-    gain = 2.0 * cfg.T_s / (cfg.L_d + cfg.L_q)
-    _fill(mem, complex(gain, 0.0), complex(0.0, gain))
-    mem.mls_mfpcc.rate = cfg.mls_mfpcc.mu_most
+def _regress(x, slope, w, i_s, turn):
+    """Fill in the regressors of the natural response; `w` is over top speed."""
+    s = _signs(slope, i_s, turn)
+    t_2 = turn * turn
+    t_6 = t_2 * t_2 * t_2
+    x[6], x[7] = w, 1.0
+    x[8], x[9] = s.real, s.imag
+    x[10], x[11] = w * t_6.real, -w * t_6.imag
 
 
 @kernel
-def _commission(cfg, mem):
-    """Fill an empty table by measurement, with nothing known of the motor but its current limit.
+def _fit(cfg, mem, e_d, e_q, e_sq):
+    """Correct all coefficients by an error, and their covariance."""
+    own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
+    P, x, Px = lut.P, lut.x, lut.Px
+    for a in range(_N):
+        x_a = x[a]
+        product = P[a, a] * x_a
+        for b in range(a):
+            product += P[a, b] * x[b]
+            Px[b] += P[a, b] * x_a
+        Px[a] = product
+    of_voltage, known = 0.0, 0.0
+    for a in range(4):
+        of_voltage += x[a] * Px[a]
+    for a in range(4, _N):
+        known += x[a] * Px[a]
+    known += of_voltage
+    noise = max(lut.r, own.least_noise)
+    s = noise + known
+    lut.s = s
+    weight = 1.0 / s
+    if e_sq > _LIMIT * s:
+        bound = math.sqrt(_LIMIT * s / e_sq)
+        e_d *= bound
+        e_q *= bound
+        mem.bounded = True
+    for a in range(_N):
+        K = weight * Px[a]
+        lut.d[a] += K * e_d
+        lut.q[a] += K * e_q
+        for b in range(a + 1):
+            P[a, b] -= K * Px[b]
 
-    Pulses of V1, V3 and V5, together no voltage, and what the current did in these three periods
-    are three equations `di = g_0 + m_d u_d + m_q u_q` for the three unknowns, at any speed. The
-    first pulses are so short that no motor minds, then longer until the answer stands out.
-    """
-    lut = mem.mls_mfpcc
-    stage = lut.stage
-    if stage == 0 or not mem.contiguous:
-        stage = 0
-        lut.dwell = max(lut.dwell, _FIRST_PULSE)
-    elif stage >= 2:
-        lut.du[stage - 2] = scaled(mem.u_dc, mem.past.u * mem.turn_past)
-        lut.di[stage - 2] = mem.i_dq - mem.i_dq_past
-    mem.i_hat = mem.i_dq
-    set_output(mem.next, 0, 0, 0.0, 0.0)
-    if stage < 3:
-        set_output(mem.next, 2 * stage + 1, 0, lut.dwell, 0.0)
-    lut.stage = stage + 1
-    if stage < 4:
-        return
-    lut.stage = 0
-    u_1, u_2 = lut.du[1] - lut.du[0], lut.du[2] - lut.du[0]
-    i_1, i_2 = lut.di[1] - lut.di[0], lut.di[2] - lut.di[0]
-    size = math.sqrt(square(i_1) + square(i_2))
-    wanted = _ANSWER * cfg.i_max
-    if size < wanted and lut.dwell < _LAST_PULSE and square(mem.i_dq) < 0.25 * cfg.i_max**2:
-        # at most eight times longer: short pulses answer with noise only
-        lut.dwell = min(_LAST_PULSE, lut.dwell * min(8.0, 1.5 * wanted / size))
-        return
-    inverse = 1.0 / cross(u_1, u_2)
-    m_d = scaled(inverse * u_2.imag, i_1) - scaled(inverse * u_1.imag, i_2)
-    m_q = scaled(inverse * u_1.real, i_2) - scaled(inverse * u_2.real, i_1)
-    _fill(mem, m_d, m_q)
-    lut.rate = cfg.mls_mfpcc.mu
+    row = lut.row
+    lut.row = row + 1 if row + 1 < _N else 0
+    keep = 1.0 - own.walk
+    for b in range(row + 1):
+        P[row, b] *= keep
+    for a in range(row, _N):
+        P[a, row] *= keep
+    P[row, row] += (1.0 - keep * keep) * lut.P_first[row]
+    if P[_CONSTANT, _CONSTANT] < lut.P_first[_CONSTANT]:
+        P[_CONSTANT, _CONSTANT] += _FOLLOW * _FOLLOW * noise
 
-
-@kernel
-def _leave_window(own, lut, e_0, e_a, e_b, q_a, q_b):
-    """Take the sample that is N periods old out of the sums, and keep the new one."""
-    head = lut.head + 1
-    if head >= own.window:
-        head = 0
-    lut.head = head
-    lut.pair_age += 1
-    oldest = own.oldest
-    lut.sum_0 -= scaled(oldest, lut.e_0[head])
-    if lut.pair_age >= own.window:
-        lut.sum_a -= scaled(oldest, lut.e_a[head])
-        lut.sum_b -= scaled(oldest, lut.e_b[head])
-        lut.norm_a -= oldest * lut.q_a[head]
-        lut.norm_b -= oldest * lut.q_b[head]
-    lut.e_0[head], lut.e_a[head], lut.e_b[head] = e_0, e_a, e_b
-    lut.q_a[head], lut.q_b[head] = q_a, q_b
+    mem.eta = known * weight
+    lut.of_voltage = of_voltage / known if known > 0.0 else 0.0
 
 
 @kernel
 def _learn(cfg, mem):
-    """Correct the table by the error of the prediction of this sample."""
-    own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
-    past, i_dq = mem.past, mem.i_dq
-    # without what the encoder's steps have turned the current by: that is no error of the table,
-    # but the loop answers to it, so it would pass for one that moves with the voltage
-    e = mem.e + complex(-mem.jitter * i_dq.imag, mem.jitter * i_dq.real)
-    e_sq = square(e)
-    small = own.e_0_sq / (own.e_0_sq + e_sq)
-    eta = own.eta_max - own.eta_span * small
-    e_map = e
-    if e_sq > own.e_max_sq:
-        e = scaled(math.sqrt(own.e_max_sq / e_sq), e)
-        mem.bounded = True
-        if lut.rate < 2.0 * own.mu:
-            # a map that is wrong by far makes errors as large; otherwise they are about something
-            # else
-            e_map = e
+    """Correct the coefficients and the filter by the error of this sample."""
+    own, lut, i_dq, e = cfg.mls_mfpcc, mem.mls_mfpcc, mem.i_dq, mem.e
+    e_d = e.real - mem.jitter * i_dq.imag - lut.e_left.real
+    e_q = e.imag + mem.jitter * i_dq.real - lut.e_left.imag
 
-    # shares by type and duration, e_j = e d_j^2 / (1 + d_a^2 + d_b^2), and their weighted sums
-    # over the window: sum beta^n d_j e_j, and of the active vectors sum beta^n d_j^2
-    d_a, d_b = past.d_a, past.d_b
-    q_a, q_b = d_a * d_a, d_b * d_b
-    share = 1.0 / (1.0 + q_a + q_b)
-    e_0, e_a, e_b = scaled(share, e), scaled(d_a * q_a * share, e), scaled(d_b * q_b * share, e)
-    beta = own.beta
-    keep = beta
-    if past.a != lut.pair:
-        # a new pair starts with an empty window
-        lut.pair = past.a
-        lut.pair_age = -1
-        keep = 0.0
-    lut.sum_0 = e_0 + scaled(beta, lut.sum_0)
-    lut.sum_a = e_a + scaled(keep, lut.sum_a)
-    lut.sum_b = e_b + scaled(keep, lut.sum_b)
-    lut.norm_a = q_a + keep * lut.norm_a
-    lut.norm_b = q_b + keep * lut.norm_b
-    if own.window > 0:
-        _leave_window(own, lut, e_0, e_a, e_b, q_a, q_b)
-    if mem.u_dc != lut.u_dc:
-        lut.u_dc = mem.u_dc
-        lut.per_volt = 1.0 / (SIN_60 * ACTIVE_LENGTH * mem.u_dc)
-        lut.floor = _V_SQ_MIN * mem.u_dc * mem.u_dc
-    fit_a = scaled(lut.per_volt / (_EPS + lut.norm_a), lut.sum_a)
-    fit_b = scaled(lut.per_volt / (_EPS + lut.norm_b), lut.sum_b)
-
-    # the moving part of the voltage
-    mean = lut.u_mean
-    v = lut.u_dq - mean
-    d_sq, q_sq = v.real * v.real, v.imag * v.imag
-    all_d, all_q = lut.floor + lut.var_d + d_sq, lut.floor + lut.var_q + q_sq
-    rate = lut.rate / (all_d * all_q)
-    k = complex(rate * all_q * v.real, rate * all_d * v.imag)
-    lut.rate += own.settle * (own.mu_most - own.mu_span * small - lut.rate)
-    lut.var_d += own.gamma * (d_sq - lut.var_d)
-    lut.var_q += own.gamma * (q_sq - lut.var_q)
-    lut.u_mean = mean + scaled(own.gamma, v)
-    e_map -= lut.e_mean
-    lut.e_mean += scaled(own.gamma, e_map)
-
-    # both into the map: with unit vectors a and b, 60 degrees apart, a voltage u is
-    # (u x b) a + (a x u) b over sin 60 degrees
-    a = DIRECTIONS[past.a] * mem.turn_past
-    b = next_vector(a)
-    fit_d = scaled(b.imag, fit_a) - scaled(a.imag, fit_b)
-    fit_q = scaled(a.real, fit_b) - scaled(b.real, fit_a)
-    lut.m_d += scaled(eta, fit_d) + scaled(k.real, e_map)
-    lut.m_q += scaled(eta, fit_q) + scaled(k.imag, e_map)
-    pivot = scaled(k.real * mean.real + k.imag * mean.imag, e_map)
-    lut.g_0 += scaled(eta * own.mean, lut.sum_0) - pivot
+    e_sq = e_d * e_d + e_q * e_q
+    if e_sq < _QUIET * own.least_noise:
+        # what is left in a quiet drive is slow and not of this model: the constant's
+        lut.d[_CONSTANT] += _FOLLOW * e_d
+        lut.q[_CONSTANT] += _FOLLOW * e_q
+        mem.eta = _FOLLOW
+        lut.of_voltage = 0.0
+    else:
+        _fit(cfg, mem, e_d, e_q, e_sq)
+    lut.samples = min(lut.samples + 1.0, _NOISE_MEMORY)
+    lut.r += (min(0.5 * e_sq, _LIMIT * lut.r) - lut.r) / lut.samples
     lut.learned_at = mem.period
-    mem.eta = eta
     mem.updated = np.uint8(127)
 
-
-@kernel
-def _turned(turn, i_dq):
-    """Natural response (A) to the turn of the frame alone, known with no motor parameter."""
-    return complex(turn * i_dq.imag, -turn * i_dq.real)
+    # the observer
+    error_sq = square(e)
+    lut.e_sq += _SHARE_RATE * (0.5 * (error_sq + square(lut.e)) - lut.e_sq)
+    colour = e.real * lut.e.real + e.imag * lut.e.imag
+    if lut.e_sq > 0.0:
+        lut.share += _SHARE_RATE * min(max(colour / lut.e_sq, -3.0), 3.0)
+        lut.share = min(max(lut.share, _SHARE_LEAST), _SHARE_MOST)
+    share = 1.0 if error_sq > _LOUD * lut.s else lut.share
+    lut.e = e
+    lut.e_left = scaled(1.0 - share, e)
+    lut.i_f = mem.i_hat + scaled(share, e)
 
 
 @kernel
 def _begin(cfg, mem):
-    """First sample with a known past: the natural entry is what the last increment leaves."""
-    lut = mem.mls_mfpcc
-    u_past = scaled(mem.u_dc, mem.past.u * mem.turn_past)
-    known = _response(lut, u_past) + _turned(cfg.T_s * mem.w_m, mem.i_dq_past)
-    lut.g_0 = mem.i_dq - mem.i_dq_past - known
-    lut.u_mean = u_past
-    lut.e_mean = 0j
-    lut.begun = True
+    """A sample with no prediction: the filter starts at it, the constant at the last increment."""
+    own, lut, i_dq = cfg.mls_mfpcc, mem.mls_mfpcc, mem.i_dq
+    lut.i_f = i_dq
+    lut.e, lut.e_left = 0j, 0j
+    lut.i_due, lut.i_due_next = i_dq, i_dq
+    if not mem.contiguous:
+        lut.u_past = scaled(own.per_u * mem.u_dc, mem.now.u * mem.turn_now)
+        return
+    lut.u_past = scaled(own.per_u * mem.u_dc, mem.past.u * mem.turn_past)
+    x, i_past, u, turn = lut.x, mem.i_dq_past, lut.u_past, cfg.T_s * mem.w_m
+    x[0], x[1], x[2], x[3] = u.real, u.imag, u.real, u.imag
+    x[4], x[5] = own.per_i * i_past.real, own.per_i * i_past.imag
+    _regress(x, own.slope, own.per_w * mem.w_m, i_past, mem.turn_past)
+    left_d = i_dq.real - i_past.real - turn * i_past.imag
+    left_q = i_dq.imag - i_past.imag + turn * i_past.real
+    for a in range(_N):
+        left_d -= x[a] * lut.d[a]
+        left_q -= x[a] * lut.q[a]
+    if lut.samples == _NOISE_FIRST_SAMPLES or left_d * left_d + left_q * left_q > _LOUD * lut.s:
+        lut.d[_CONSTANT] += left_d
+        lut.q[_CONSTANT] += left_q
     mem.updated = np.uint8(1)
     mem.eta = 1.0
-
-
-@kernel
-def _lost(cfg, lut, i_dq, turn):
-    """Response (A) to 1 V lost in each leg, with the current i_dq in the middle of a period."""
-    s = leg_drop.signs(cfg, i_dq * turn.conjugate())
-    return -_response(lut, s * turn)
 
 
 @kernel
@@ -470,34 +376,78 @@ def step(cfg, mem):
     """Learn from the last error, predict k + 1, reach the reference at k + 2."""
     own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
     if not lut.ready:
-        if own.empty:
-            _commission(cfg, mem)
-        else:
-            _fill_from_model(cfg, mem)
-        if not lut.ready:
-            return
-    if not (mem.contiguous and mem.kept and lut.begun):
-        _forget(lut)
-        if mem.contiguous:
-            _begin(cfg, mem)
-    else:
-        if own.inverter:
-            leg_drop.learn(lut.drop, mem.e - lut.e_mean, mem.u_dc, own.gamma)
+        _fill(cfg, mem)
+    if mem.contiguous and mem.kept and lut.begun:
         _learn(cfg, mem)
+        i_x = mem.i_hat
+    else:
+        _begin(cfg, mem)
+        i_x = mem.i_dq
+    lut.begun = True
+    d, q, x, i_f = lut.d, lut.q, lut.x, lut.i_f
 
-    u_dq = scaled(mem.u_dc, mem.now.u * mem.turn_now)
-    lut.u_dq = u_dq
-    turn = cfg.T_s * mem.w_m
-    i_1 = mem.i_dq + lut.g_0 + _turned(turn, mem.i_dq) + _response(lut, u_dq)
-    if own.inverter:
-        lut.drop.effect = _lost(cfg, lut, mem.i_dq, mem.turn_now)
-        i_1 += scaled(lut.drop.volts, lut.drop.effect)
-    x = mem.i_dq_ref - i_1 - lut.g_0 - _turned(turn, i_1)
-    if own.inverter:
-        x -= scaled(lut.drop.volts, _lost(cfg, lut, i_1, mem.turn_next))
+    # the map, and what the turn of the flux and A make of the current
+    b_dd, b_dq, b_qd, b_qq = d[0] + d[2], d[1] + d[3], q[0] + q[2], q[1] + q[3]
+    det = b_dd * b_qq - b_dq * b_qd
+    size = b_dd * b_dd + b_dq * b_dq + b_qd * b_qd + b_qq * b_qq
+    if det < 0.5 * _FLAT * size or b_dd + b_qq <= 0.0:
+        # not yet one that could be inverted
+        b_dd = b_qq = math.sqrt(0.5 * size)
+        b_dq = b_qd = 0.0
+        det = 0.5 * size
+    inverse = 1.0 / det
+    turn = cfg.T_s * mem.w_m * inverse
+    skew = turn * (b_dq * b_qq + b_dd * b_qd)
+    f_dd = own.per_i * d[4] - skew
+    f_dq = own.per_i * d[5] + turn * (b_dq * b_dq + b_dd * b_dd)
+    f_qd = own.per_i * q[4] - turn * (b_qq * b_qq + b_qd * b_qd)
+    f_qq = own.per_i * q[5] + skew
+
+    # predict
+    noise = _NEAR * math.sqrt(max(lut.r, own.least_noise))
+    w = own.per_w * mem.w_m
+    u = scaled(own.per_u * mem.u_dc, mem.now.u * mem.turn_now)
+    i_s = _settled(noise, i_x, lut.i_due)
+    x[0], x[1], x[2], x[3] = u.real, u.imag, lut.u_past.real, lut.u_past.imag
+    x[4], x[5] = own.per_i * i_s.real, own.per_i * i_s.imag
+    _regress(x, own.slope, w, i_s, mem.turn_now)
+    d_d = f_dd * i_f.real + f_dq * i_f.imag
+    d_q = f_qd * i_f.real + f_qq * i_f.imag
+    for a in range(4):
+        d_d += x[a] * d[a]
+        d_q += x[a] * q[a]
+    for a in range(6, _N):
+        d_d += x[a] * d[a]
+        d_q += x[a] * q[a]
+    i_1 = complex(i_f.real + d_d, i_f.imag + d_q)
+    lut.u_past = u
+
+    # what the current of period k + 1 does by itself, and the voltage that holds it
+    y = lut.x_next
+    _regress(y, own.slope, w, _settled(noise, i_1, lut.i_due_next), mem.turn_next)
+    own_d, own_q = 0.0, 0.0
+    for a in range(6, _N):
+        own_d += y[a] * d[a]
+        own_q += y[a] * q[a]
+    g_d = own_d + f_dd * i_1.real + f_dq * i_1.imag
+    g_q = own_q + f_qd * i_1.real + f_qq * i_1.imag
+    late_d = u.real + inverse * (b_qq * g_d - b_dq * g_q)
+    late_q = u.imag + inverse * (b_dd * g_q - b_qd * g_d)
+
+    # where the current ends when what is under way has arrived, and from there to the reference
+    i_d = i_1.real + d[2] * late_d + d[3] * late_q
+    i_q = i_1.imag + q[2] * late_d + q[3] * late_q
+    wish = complex(
+        mem.i_dq_ref.real - i_d - own_d - f_dd * i_d - f_dq * i_q,
+        mem.i_dq_ref.imag - i_q - own_q - f_qd * i_d - f_qq * i_q,
+    )
+    lut.g_0 = complex(g_d, g_q)
+    lut.m_d = complex(own.per_u * b_dd, own.per_u * b_qd)
+    lut.m_q = complex(own.per_u * b_dq, own.per_u * b_qq)
     u_1 = scaled(ACTIVE_LENGTH * mem.u_dc, mem.turn_next)
-    search.choose(cfg, x, _response(lut, u_1), _response(lut, next_vector(u_1)), mem.next)
+    search.choose(cfg, wish, _response(lut, u_1), _response(lut, next_vector(u_1)), mem.next)
     mem.i_hat = i_1
+    lut.i_due, lut.i_due_next = lut.i_due_next, mem.i_dq_ref
 
 
 @kernel
@@ -508,16 +458,17 @@ def show(cfg, mem, diag):
     back = mem.turn_now.conjugate()
     g_1 = _response(lut, u_1) * back
     g_2 = _response(lut, next_vector(u_1)) * back
-    show_gradients(diag, lut.g_0 + _turned(cfg.T_s * mem.w_m, mem.i_dq), g_1, g_2)
+    show_gradients(diag, lut.g_0, g_1, g_2)
     age = np.uint32(mem.period - lut.learned_at)
     for j in range(7):
         diag.age[j] = age
     if mem.updated != 127:
         show_shares(diag, 0.0, 0.0, 0.0)
         return
-    q_a, q_b = past.d_a * past.d_a, past.d_b * past.d_b
-    share = 1.0 / (1.0 + q_a + q_b)
-    show_shares(diag, share, q_a * share, q_b * share)
+    # between the two vectors, B's share is the voltage's that they made
+    total = past.d_a + past.d_b
+    a = lut.of_voltage * past.d_a / total if total > 0.0 else 0.0
+    show_shares(diag, 1.0 - lut.of_voltage, a, lut.of_voltage - a)
 
 
 SCHEME = BuiltIn(
@@ -525,7 +476,6 @@ SCHEME = BuiltIn(
     step=step,
     show=show,
     parameters=PARAMETERS,
-    check=_check,
     cfg=CFG,
     configure=configure,
     memory=MEMORY,

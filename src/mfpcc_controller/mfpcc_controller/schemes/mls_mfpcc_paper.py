@@ -59,17 +59,17 @@ _BY_ITSELF = 0.025
 
 PARAMETERS = (
     Parameter(
-        "mls_paper.window",
+        "mls.window",
         5,
         "Samples in the moving-least-squares window of mls_mfpcc_paper",
         minimum=1,
         maximum=_WINDOW_MAX,
     ),
-    Parameter("mls_paper.beta", 0.8, "Forgetting factor of the window", minimum=0.0, maximum=1.0),
-    Parameter("mls_paper.eta_min", 0.05, "Learning rate at small errors", minimum=0.0, maximum=1.0),
-    Parameter("mls_paper.eta_max", 0.5, "Learning rate at large errors", minimum=0.0, maximum=1.0),
+    Parameter("mls.beta", 0.8, "Forgetting factor of the window", minimum=0.0, maximum=1.0),
+    Parameter("mls.eta_min", 0.05, "Learning rate at small errors", minimum=0.0, maximum=1.0),
+    Parameter("mls.eta_max", 0.5, "Learning rate at large errors", minimum=0.0, maximum=1.0),
     Parameter(
-        "mls_paper.e_0",
+        "mls.e_0",
         0.0,
         "Error at which the learning rate is 63 % of the way from small to large; 0: 2.5 % of the "
         "motor's current limit",
@@ -78,7 +78,7 @@ PARAMETERS = (
         maximum=1e3,
     ),
     Parameter(
-        "mls_paper.g_max",
+        "mls.g_max",
         0.0,
         "Largest change of a gradient in one period; 0: 2.5 % of the motor's current limit",
         unit="A",
@@ -89,9 +89,9 @@ PARAMETERS = (
 
 
 def _check(values: Mapping[str, Value]) -> str | None:
-    low, high = values["mls_paper.eta_min"], values["mls_paper.eta_max"]
+    low, high = values["mls.eta_min"], values["mls.eta_max"]
     if low > high:  # type: ignore[operator]
-        return f"'mls_paper.eta_min' = {low} must not exceed 'mls_paper.eta_max' = {high}"
+        return f"'mls.eta_min' = {low} must not exceed 'mls.eta_max' = {high}"
     return None
 
 
@@ -138,18 +138,18 @@ MEMORY = np.dtype(
 def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
     """Take over the parameters; the sums of another window are forgotten."""
     own, lut = cfg["mls_mfpcc_paper"], mem["mls_mfpcc_paper"]
-    window, beta = values["mls_paper.window"], values["mls_paper.beta"]
+    window, beta = values["mls.window"], values["mls.beta"]
     if (own["window"], own["beta"]) != (window, beta):
         lut["begun"] = False
     own["window"] = window
     own["beta"] = beta
     own["oldest"] = beta**window
     own["mean"] = 1.0 / np.sum(beta ** np.arange(window))
-    own["eta_max"] = values["mls_paper.eta_max"]
-    own["eta_span"] = values["mls_paper.eta_max"] - values["mls_paper.eta_min"]
+    own["eta_max"] = values["mls.eta_max"]
+    own["eta_span"] = values["mls.eta_max"] - values["mls.eta_min"]
     by_itself = _BY_ITSELF * cfg["i_max"]
-    own["per_e_0"] = 1.0 / (values["mls_paper.e_0"] or by_itself)
-    own["g_max"] = values["mls_paper.g_max"] or by_itself
+    own["per_e_0"] = 1.0 / (values["mls.e_0"] or by_itself)
+    own["g_max"] = values["mls.g_max"] or by_itself
 
 
 @kernel
