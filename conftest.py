@@ -15,12 +15,15 @@ _PATIENCE = 20.0  # s
 
 
 def pytest_configure() -> None:
-    """Have Ctrl-C where a shell has started this in the background, with SIGINT ignored.
+    """Have the signals that whoever started this ignored: a shell in the background, nohup.
 
-    Processes inherit that, and what a test interrupts would go on.
+    Processes inherit that, and what a test interrupts or hangs up would go on.
     """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGHUP, signal.SIGTERM):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
 
 
 @pytest.fixture(autouse=True)
