@@ -21,7 +21,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-from pwm_node.loop_topics import PUBLISH, SUBSCRIBE
+from pwm_node.ros.loop_topics import PUBLISH, SUBSCRIBE
 
 _WITHIN = 30.0  # s
 _ONCE = 0.3  # s

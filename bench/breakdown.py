@@ -24,7 +24,7 @@ from mfpcc_experiments.graph.session import sink
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.plant import Plant, advance, latch
 from pwm_node import compiled
-from pwm_node.diagnostics import StepTimes
+from pwm_node.ros.diagnostics import StepTimes
 from pwm_node.wire import Wire
 
 _BLOCK = 1_000  # periods per sample of the clock readings

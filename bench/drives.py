@@ -19,8 +19,8 @@ from rclpy.task import Future
 
 from mfpcc_controller.node import MfpccController
 from pmsm_sim.node import PmsmSim
-from pwm_node import spin
-from pwm_node.node import PwmNode
+from pwm_node.ros import spin
+from pwm_node.ros.node import PwmNode
 
 #: The operating point of every measurement: 750 r/min, 2 N m, noisy current sensors.
 PLANT = {"load_torque": 2.0, "initial_speed_rpm": 750.0, "noise.current_rms": 0.0245}
@@ -80,7 +80,7 @@ def composed(
     ----------
     periods : int
     serve : callable, optional
-        Runs the nodes to the end, instead of `pwm_node.spin.run`.
+        Runs the nodes to the end, instead of `pwm_node.ros.spin.run`.
     """
     with graph() as context:
         nodes = (plant(context, periods), controller(context))

@@ -35,8 +35,8 @@ from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_experiments.graph.black_box import BlackBoxNode
 from pmsm_sim.node import PmsmSim
-from pwm_node import spin
-from pwm_node.node import PwmNode
+from pwm_node.ros import spin
+from pwm_node.ros.node import PwmNode
 
 #: Changes of either node come at random, so many a second on average.
 CHANGES_PER_SECOND = 5.0

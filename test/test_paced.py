@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 from mfpcc_experiments.bags import recording
 from mfpcc_experiments.graph.replayer import Replayer
 from pmsm_sim.node import PmsmSim
-from pwm_node.diagnostics import Level
+from pwm_node.ros.diagnostics import Level
 
 REFERENCE = Path(__file__).resolve().parent.parent / "bags" / "reference" / "mfpcc"
 
@@ -65,7 +65,7 @@ class Paced(PmsmSim):
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """What time it is, for the pace (s)."""
     now = [1000.0]
-    monkeypatch.setattr("pwm_node.pace.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("pwm_node.ros.pace.time.monotonic", lambda: now[0])
     return now
 
 

@@ -46,8 +46,8 @@ from pmsm_sim.injection import MAGNITUDES, UNITS
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import yaml_files
-from pwm_node.node import AUTOSTART, PwmNode
 from pwm_node.parameters import Parameter, Table
+from pwm_node.ros.node import AUTOSTART, PwmNode
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -24,12 +24,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE
-from pwm_node import compiled, spin
-from pwm_node.diagnostics import Level, Part
-from pwm_node.node import PwmNode
-from pwm_node.pace import Listeners, SteadyTimer
-from pwm_node.status import StatusPublisher
-from pwm_node.stops import Stops
+from pwm_node import compiled
+from pwm_node.ros import spin
+from pwm_node.ros.diagnostics import Level, Part
+from pwm_node.ros.node import PwmNode
+from pwm_node.ros.pace import Listeners, SteadyTimer
+from pwm_node.ros.status import StatusPublisher
+from pwm_node.ros.stops import Stops
 from pwm_node.wire import Wire, WireError
 
 _WATCH_EVERY = 0.1  # s

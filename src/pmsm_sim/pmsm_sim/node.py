@@ -20,12 +20,13 @@ from sensor_msgs.msg import JointState
 from pmsm_sim.injection import InjectionError
 from pmsm_sim.parameters import TABLE
 from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
-from pwm_node import compiled, spin
-from pwm_node.diagnostics import Level, Part
-from pwm_node.node import PwmNode
-from pwm_node.pace import Listeners, Pace, SteadyTimer
-from pwm_node.status import StatusPublisher
-from pwm_node.stops import Stops
+from pwm_node import compiled
+from pwm_node.ros import spin
+from pwm_node.ros.diagnostics import Level, Part
+from pwm_node.ros.node import PwmNode
+from pwm_node.ros.pace import Listeners, Pace, SteadyTimer
+from pwm_node.ros.status import StatusPublisher
+from pwm_node.ros.stops import Stops
 from pwm_node.units import RPM
 from pwm_node.wire import Wire, WireError
 

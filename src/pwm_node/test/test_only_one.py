@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from pwm_node.only_one import TakenError, claim
+from pwm_node.ros.only_one import TakenError, claim
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +24,7 @@ def test_a_name_is_there_once_and_again_after_its_end():
 
 def test_a_killed_process_has_no_claim(tmp_path):
     program = (
-        "import os, tempfile; from pwm_node.only_one import claim\n"
+        "import os, tempfile; from pwm_node.ros.only_one import claim\n"
         f"tempfile.tempdir = {str(tmp_path)!r}; claim('/plant', 0); print(flush=True); input()"
     )
     command = [sys.executable, "-c", program]

@@ -9,8 +9,8 @@ pytest.importorskip("rclpy")
 
 from rclpy.context import Context
 
-from pwm_node import ros_environment
-from pwm_node.ros_environment import RosError
+from pwm_node.ros import ros_environment
+from pwm_node.ros.ros_environment import RosError
 
 
 @pytest.mark.parametrize(

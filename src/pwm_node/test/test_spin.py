@@ -20,9 +20,9 @@ from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 from rclpy.parameter_client import AsyncParameterClient  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 
-from pwm_node import spin  # noqa: E402
-from pwm_node.loop_topics import LoopSubscription  # noqa: E402
-from pwm_node.spin import run  # noqa: E402
+from pwm_node.ros import spin  # noqa: E402
+from pwm_node.ros.loop_topics import LoopSubscription  # noqa: E402
+from pwm_node.ros.spin import run  # noqa: E402
 
 
 class Client:

@@ -7,10 +7,10 @@ import sys
 
 from mfpcc_msgs.msg import DutyCommand, PhaseFeedback
 
-from pwm_node.diagnostics import Part
-from pwm_node.node import PwmNode
 from pwm_node.parameters import Parameter, Table
-from pwm_node.spin import main
+from pwm_node.ros.diagnostics import Part
+from pwm_node.ros.node import PwmNode
+from pwm_node.ros.spin import main
 from pwm_node.wire import Wire
 
 COMMON = [

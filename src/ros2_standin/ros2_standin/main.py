@@ -12,7 +12,7 @@ from functools import partial
 from types import ModuleType
 from typing import Any
 
-from pwm_node import ros_environment
+from pwm_node.ros import ros_environment
 from ros2_standin.catalogue import COMMANDS, MISSING_COMMANDS, Command, not_here
 from ros2_standin.verb import Result, Terminated
 

@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
-from pwm_node import ros_environment
+from pwm_node.ros import ros_environment
 from ros2_standin.verb import Terminated
 
 #: Time it takes to see who is there (s), unless told otherwise.

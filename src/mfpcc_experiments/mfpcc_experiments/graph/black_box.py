@@ -34,7 +34,8 @@ from mfpcc_experiments.graph.archive import Archive
 from mfpcc_experiments.graph.excerpt import STATUS, excerpt, in_order
 from mfpcc_experiments.graph.remote_node import DriveNode, at_begin
 from mfpcc_experiments.graph.trip import Trip, figures, limits
-from pwm_node import guard, stamps
+from pwm_node import stamps
+from pwm_node.ros import guard
 
 #: What is kept of the time before a fault and after it (simulated s).
 BEFORE, AFTER = 0.2, 0.1

@@ -20,7 +20,7 @@ from mfpcc_experiments.graph import session
 from mfpcc_experiments.progress import Tell
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.plant import Plant
-from pwm_node import spin
+from pwm_node.ros import spin
 
 
 @contextlib.contextmanager

@@ -12,8 +12,8 @@ from mfpcc_experiments.graph import black_box
 from mfpcc_experiments.graph.black_box import BlackBoxNode
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.parameters import TABLE as PLANT
-from pwm_node import spin
-from pwm_node.node import PwmNode
+from pwm_node.ros import spin
+from pwm_node.ros.node import PwmNode
 
 
 def main() -> int:

@@ -40,7 +40,8 @@ from mfpcc_experiments.graph.black_box import BlackBox
 from mfpcc_experiments.graph.remote_node import RemoteNode
 from mfpcc_experiments.measuring.happened import latched
 from pmsm_sim.parameters import TABLE as PLANT
-from pwm_node import guard, interrupts, ros_parameters, spin, stamps
+from pwm_node import interrupts, stamps
+from pwm_node.ros import guard, ros_parameters, spin
 
 # Keep all and reliable: a recorder that cannot follow slows the loop down instead of losing.
 _KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)

@@ -26,12 +26,12 @@ from mfpcc_msgs.msg import DriveState, DutyCommand, PhaseFeedback
 
 from mfpcc_experiments.bags import BagError, Recording, recording
 from mfpcc_experiments.reporting.compare import write_whole
-from pwm_node import spin
-from pwm_node.diagnostics import Part
-from pwm_node.loop_topics import LoopPublisher
-from pwm_node.node import PwmNode
-from pwm_node.pace import Listeners, Pace
 from pwm_node.parameters import Parameter, Table
+from pwm_node.ros import spin
+from pwm_node.ros.diagnostics import Part
+from pwm_node.ros.loop_topics import LoopPublisher
+from pwm_node.ros.node import PwmNode
+from pwm_node.ros.pace import Listeners, Pace
 from pwm_node.wire import HEADER, Wire, WireError, fixed_size
 
 _START_CONTROLLER = "ros2 run mfpcc_controller controller"

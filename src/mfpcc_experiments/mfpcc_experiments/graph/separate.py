@@ -18,7 +18,8 @@ from mfpcc_experiments.graph import session
 from mfpcc_experiments.graph.recorder import Recorder
 from mfpcc_experiments.progress import Tell
 from pmsm_sim.node import PmsmSim
-from pwm_node import interrupts, spin
+from pwm_node import interrupts
+from pwm_node.ros import spin
 
 _STOP_WITHIN = 10.0  # s
 

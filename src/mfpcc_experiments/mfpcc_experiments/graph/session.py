@@ -20,9 +20,10 @@ from mfpcc_experiments.bags import BagWriter
 from mfpcc_experiments.graph import loop_messages
 from mfpcc_experiments.measuring.happened import latched
 from pmsm_sim.node import PmsmSim
-from pwm_node import ros_environment, stamps
+from pwm_node import stamps
 from pwm_node.errors import ForPeople
-from pwm_node.node import PwmNode
+from pwm_node.ros import ros_environment
+from pwm_node.ros.node import PwmNode
 
 _LOOK_EVERY = 0.1  # s
 _DISCOVERY = 0.3  # s: nodes on this machine are seen within a few hundredths

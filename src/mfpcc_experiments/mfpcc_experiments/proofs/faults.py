@@ -31,7 +31,7 @@ from pmsm_sim.injection import UNITS
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant
 from pmsm_sim.protection import OVERCURRENT
-from pwm_node import ros_environment
+from pwm_node.ros import ros_environment
 from pwm_node.wire import fixed_dtype, fixed_size
 
 #: Current amplitude (A) that only a drive without protection reaches: the trip limit of seed_750,

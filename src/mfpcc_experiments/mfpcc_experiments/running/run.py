@@ -15,7 +15,7 @@ from mfpcc_experiments.running.configuration import configuration
 from mfpcc_experiments.running.engine import Engine, step_time
 from mfpcc_experiments.running.scenario import Scenario
 from mfpcc_experiments.running.trace import write_trace
-from pwm_node import ros_environment
+from pwm_node.ros import ros_environment
 
 
 def run(
@@ -53,7 +53,7 @@ def run(
         If the recording cannot be written.
     mfpcc_experiments.graph.session.DriveError
         If the graph does not run to the end, or messages are lost (engine `ros`).
-    pwm_node.ros_environment.RosError
+    pwm_node.ros.ros_environment.RosError
         If ROS cannot start (engine `ros`).
     """
     config = configuration(scenario, scheme, engine, seed)

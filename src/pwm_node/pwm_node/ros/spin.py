@@ -26,10 +26,11 @@ from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import get_default_context
 
-from pwm_node import interrupts, ros_environment
-from pwm_node.guard import describe
-from pwm_node.loop_topics import LoopSubscription
-from pwm_node.node import AUTOSTART, PwmNode
+from pwm_node import interrupts
+from pwm_node.ros import ros_environment
+from pwm_node.ros.guard import describe
+from pwm_node.ros.loop_topics import LoopSubscription
+from pwm_node.ros.node import AUTOSTART, PwmNode
 
 _SERVED_AT_ONCE = 100  # callbacks: far more than are ever due
 _SERVE_EVERY = 0.004  # s

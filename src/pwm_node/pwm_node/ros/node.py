@@ -7,25 +7,23 @@ publishes; it counts in `period`, so that the watch can see that the loop goes o
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter as RosParameter
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.task import Future
 
-from pwm_node import guard, names, only_one, ros_parameters, schedule
-from pwm_node.diagnostics import Level, Part, StepTimes
-from pwm_node.loop_topics import LoopPublisher, LoopSubscription
-from pwm_node.parameters import Parameter, ParameterError, Table, Value
+from pwm_node.parameters import Parameter, Table
+from pwm_node.ros import guard, only_one
+from pwm_node.ros.diagnostics import Level, Part, StepTimes
+from pwm_node.ros.loop_topics import LoopPublisher, LoopSubscription
+from pwm_node.ros.table_node import CHANGES_KEPT, TableNode
 
 AUTOSTART = Parameter(
     "autostart",
@@ -38,18 +36,9 @@ _WATCH_PERIOD = 0.05  # s
 _STALL_STEP = 0.5  # s
 _SILENT_AFTER = 4.0  # s: reported well within 5
 _FLUSH = 4.0  # s: subscribers in other processes confirm every 3 s
-_NEVER = 1 << 63
-_CHANGES_KEPT = 10_000
 
 
-class Core(Protocol):
-    """The part of a node that knows nothing of ROS."""
-
-    def apply(self, changes: Mapping[str, Value]) -> None:
-        """Take over changed parameters, between two periods."""
-
-
-class PwmNode(LifecycleNode):
+class PwmNode(TableNode):
     """Base of the nodes on the loop.
 
     Subclasses override `configure`, `activate`, `deactivate` and `cleanup`, which may raise to
@@ -69,22 +58,13 @@ class PwmNode(LifecycleNode):
 
     Attributes
     ----------
-    values : dict
-        All parameter values.
-    core : Core, optional
-        Told of changed parameters, once it is set.
     active : bool
         True between activation and deactivation.
     stopping : bool
         True once the process was asked to end.
-    period : int
-        Number of the latest period; the subclass counts.
     awaited : LoopSubscription, optional
         The message that lets the loop go on: the first loop subscription, unless set otherwise.
         None while nothing is due, after the end of a run for instance.
-    changes : deque of dict
-        The latest changes of parameters since the start (period, name, value, and what it `was`
-        before), the scheduled ones too.
     latched : deque of (str, int, str)
         The latest faults since the start, cleared ones too: code, period, what was seen.
     missed_periods, lost_periods : int
@@ -96,11 +76,8 @@ class PwmNode(LifecycleNode):
     tap : callable, optional
         Given a loop topic, returns what is handed each message that is published on it: the
         in-line recording. To be set before the node is configured.
-    next_change : int
-        Period in which `apply_due` has something to do.
     """
 
-    core: Core | None = None
     tap: Callable[[str], Callable[[bytes], None]] | None = None
     hardware_id = ""
 
@@ -115,14 +92,11 @@ class PwmNode(LifecycleNode):
                     service.callback, service.srv_type, service.srv_name, self.get_logger()
                 )
         self._claim: int | None = None
-        self.table = table if AUTOSTART.name in table else table.extended(AUTOSTART)
         self.active = False
         self.stopping = False
         self.finished = Future()
-        self.period = -1
         self.awaited: LoopSubscription | None = None
-        self.changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES_KEPT)
-        self.latched: deque[tuple[str, int, str]] = deque(maxlen=_CHANGES_KEPT)
+        self.latched: deque[tuple[str, int, str]] = deque(maxlen=CHANGES_KEPT)
         self.missed_periods = 0
         self.lost_periods = 0
         self.step_times = StepTimes()
@@ -132,12 +106,12 @@ class PwmNode(LifecycleNode):
             self._claim = only_one.claim(
                 self.get_fully_qualified_name(), self.context.get_domain_id()
             )
-            self.values: dict[str, Any] = self._declare(set(also_known))
-            self._schedule = self._read_schedule()
+            self.declare(
+                table if AUTOSTART.name in table else table.extended(AUTOSTART), also_known
+            )
         except ValueError:
             self.destroy_node()
             raise
-        self.next_change = self._schedule[0][0] if self._schedule else _NEVER
 
         self._seen_period = self.period
         self._progress_at = time.monotonic()
@@ -148,123 +122,6 @@ class PwmNode(LifecycleNode):
         self._told_faults = 0
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(_WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    # Parameters -----------------------------------------------------------------------------
-
-    def _declare(self, also_known: set[str]) -> dict[str, Value]:
-        """Declare the table, with the values given at start, and return all values."""
-        # rclpy has no public way to see what was given for parameters before they are declared.
-        given = self._parameter_overrides
-        shared = ros_parameters.shared_names(sys.argv)
-        changes: dict[str, Any] = {}
-        ignored = []
-        for name, parameter in given.items():
-            if name in self.table:
-                changes[name] = ros_parameters.from_ros(self.table[name], parameter.value)
-            elif (
-                self.has_parameter(name) or name in also_known or name.startswith("qos_overrides.")
-            ):
-                pass  # somebody else's
-            elif name in shared:
-                ignored.append(name)
-            else:
-                raise self.table.unknown(name)
-        if ignored:
-            self._tell_ignored(ignored, shared)
-        values = self.table.complete(changes)
-        for name, parameter in self.table.items():
-            self.declare_parameter(
-                name,
-                ros_parameters.to_ros(parameter, values[name]).value,
-                ros_parameters.descriptor(parameter),
-                ignore_override=True,
-            )
-        self.add_on_set_parameters_callback(self._on_set)
-        self.add_post_set_parameters_callback(self._post_set)
-        return values
-
-    def _tell_ignored(self, ignored: Sequence[str], files: Mapping[str, str]) -> None:
-        """Say which parameters given to whoever has them this node has not: one may be misspelt."""
-        told = []
-        for name in ignored:
-            near = names.nearest(name, self.table)
-            told.append(f"{name} (did you mean {near}?)" if near else name)
-        places = ", ".join(sorted({files[name] for name in ignored}))
-        self.get_logger().warning(f"{places}: parameters of others, ignored: {', '.join(told)}")
-
-    def set_parameters(self, parameter_list: list[RosParameter]) -> list[SetParametersResult]:
-        """Set parameters one by one."""
-        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
-
-    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
-        """Set parameters together; all requests from outside come through here.
-
-        The table goes first, since it tells more than rclpy's own checks, and takes 5 for 5.0.
-        """
-        try:
-            accepted = self._validate(parameter_list)
-            for parameter in parameter_list:
-                if parameter.name not in self.table and not self.has_parameter(parameter.name):
-                    raise self.table.unknown(parameter.name)
-        except ParameterError as error:
-            return SetParametersResult(successful=False, reason=error.reason)
-        return super().set_parameters_atomically(
-            [
-                ros_parameters.to_ros(self.table[parameter.name], accepted[parameter.name])
-                if parameter.name in accepted
-                else parameter
-                for parameter in parameter_list
-            ]
-        )
-
-    def _validate(self, parameters: Sequence[RosParameter]) -> dict[str, Value]:
-        """Check changes; parameters that are rclpy's own (use_sim_time) are not in the table."""
-        changes = {
-            parameter.name: ros_parameters.from_ros(self.table[parameter.name], parameter.value)
-            for parameter in parameters
-            if parameter.name in self.table
-        }
-        return self.table.validate(changes, self.values)
-
-    def _on_set(self, parameters: list[RosParameter]) -> SetParametersResult:
-        try:
-            self._validate(parameters)
-        except ParameterError as error:
-            return SetParametersResult(successful=False, reason=error.reason)
-        return SetParametersResult(successful=True)
-
-    def _post_set(self, parameters: list[RosParameter]) -> None:
-        # Callbacks run one after the other, so this is between two periods.
-        changes = self._validate(parameters)
-        for name, value in changes.items():
-            change = {"name": name, "value": value, "was": self.values[name]}
-            self.changes.append({"period": self.period + 1, **change})
-        self.values.update(changes)
-        if changes and self.core is not None:
-            self.core.apply(changes)
-            self.parameters_changed(changes)
-
-    def parameters_changed(self, changes: Mapping[str, Value]) -> None:
-        """Follow changes that concern the node itself; called after the core was told."""
-
-    def _read_schedule(self) -> list[tuple[int, schedule.Changes]]:
-        if "schedule" not in self.table:
-            return []
-        entries: Any = self.values["schedule"]
-        frequency: Any = self.values["pwm_frequency"]
-        return schedule.parse(entries, self.table, 1.0 / frequency, self.values)
-
-    def apply_due(self, period: int) -> None:
-        """Apply the scheduled changes up to a period: call it if ``period >= next_change``."""
-        while self._schedule and self._schedule[0][0] <= period:
-            due, changes = self._schedule.pop(0)
-            result = self.set_parameters_atomically(
-                [ros_parameters.to_ros(self.table[name], value) for name, value in changes.items()]
-            )
-            if not result.successful:
-                # A change from outside can stand against a rule across parameters.
-                self.get_logger().error(f"scheduled change of period {due}: {result.reason}")
-        self.next_change = self._schedule[0][0] if self._schedule else _NEVER
 
     # Off the loop ---------------------------------------------------------------------------
 

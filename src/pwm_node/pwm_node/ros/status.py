@@ -8,7 +8,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from pwm_node import stamps
-from pwm_node.stops import Fault
+from pwm_node.ros.stops import Fault
 
 #: Who comes later gets the state that is, not those that were.
 STATUS_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

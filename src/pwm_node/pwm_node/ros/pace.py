@@ -10,10 +10,10 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.timer import Timer
 
-from pwm_node.loop_topics import LoopPublisher
+from pwm_node.ros.loop_topics import LoopPublisher
 
 if TYPE_CHECKING:
-    from pwm_node.node import PwmNode
+    from pwm_node.ros.node import PwmNode
 
 _LOOK_EVERY = 0.01  # s
 
