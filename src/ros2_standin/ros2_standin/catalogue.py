@@ -44,10 +44,9 @@ COMMANDS = {
         {
             "list": "List all interface types",
             "package": "List the interface types of a package",
-            "packages": "List the packages that have interface types",
-            "proto": "Print a prototype of an interface, as YAML",
             "show": "Print the definition of an interface",
         },
+        missing=("packages", "proto"),
     ),
     "launch": Command("Run a launch file"),
     "lifecycle": Command(
@@ -84,28 +83,24 @@ COMMANDS = {
             "executables": "List the executables of one or all packages",
             "list": "List the packages",
             "prefix": "Print where a package is installed",
-            "xml": "Print the manifest of a package",
         },
-        missing=("create",),
+        missing=("create", "xml"),
     ),
     "run": Command("Run an executable of a package"),
     "service": Command(
         "Look at and call services",
         {
             "call": "Call a service",
-            "find": "List the services of a type",
             "list": "List the services",
             "type": "Print the type of a service",
         },
         option="--include-hidden-services",
-        missing=("echo", "info"),
+        missing=("echo", "find", "info"),
     ),
     "topic": Command(
         "Look at topics, listen and publish",
         {
-            "bw": "Measure the bandwidth of a topic",
             "echo": "Print the messages of a topic",
-            "find": "List the topics of a type",
             "hz": "Measure the rate of a topic",
             "info": "Print who publishes and who listens",
             "list": "List the topics",
@@ -113,7 +108,7 @@ COMMANDS = {
             "type": "Print the type of a topic",
         },
         option="--include-hidden-topics",
-        missing=("delay",),
+        missing=("bw", "delay", "find"),
     ),
 }
 

@@ -12,8 +12,8 @@ from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import Header
 
+from ros2_standin.bags.recorded_qos import offer_of
 from ros2_standin.listen import Spinner
-from ros2_standin.recorded_qos import offer_of
 
 TOPICS = ("/ticks", "/latched")
 

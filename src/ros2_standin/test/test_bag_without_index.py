@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from mcap.writer import IndexType, Writer
 
-from ros2_standin.bags import open_bag
+from ros2_standin.bags.reading import open_bag
 
 ALL_BUT_MESSAGES = IndexType.CHUNK | IndexType.METADATA
 

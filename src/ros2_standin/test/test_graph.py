@@ -26,8 +26,6 @@ def test_topics(ros2, eventually):
     seen = eventually("topic", "info", "/latched", until=lambda o: "count: 1\nS" in o.out)
     assert seen.out == "Type: std_msgs/msg/String\nPublisher count: 1\nSubscription count: 1\n"
     assert ros2("topic", "info", "/nope") == (1, "", "Unknown topic '/nope'\n")
-    found = eventually("topic", "find", "std_msgs/msg/Header", until=lambda o: bool(o.out))
-    assert found.out == "/ticks\n"
     typed = eventually("topic", "type", "/ticks", until=lambda o: o.code == 0)
     assert typed.out == "std_msgs/msg/Header\n"
 
@@ -156,14 +154,10 @@ def test_pub(ros2, start):
 
 
 @pytest.mark.parametrize(
-    ("verb", "text", "kind", "code"),
-    [
-        ("hz", "average rate: ", signal.SIGINT, 2),
-        ("bw", "B/s from 100 messages\n\tMessage size", signal.SIGTERM, 15),
-    ],
+    ("kind", "code"), [(signal.SIGINT, 2), (signal.SIGTERM, 15)], ids=["SIGINT", "SIGTERM"]
 )
-def test_measuring_until_stopped(start, verb, text, kind, code):
-    process = start("topic", verb, "/ticks")
-    process.wait_for(text)
+def test_measuring_until_stopped(start, kind, code):
+    process = start("topic", "hz", "/ticks")
+    process.wait_for("average rate: ")
     assert process.end(kind) == code
     assert "Traceback" not in process.output

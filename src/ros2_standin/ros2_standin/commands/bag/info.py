@@ -6,7 +6,7 @@ import argparse
 import time
 
 from ros2_standin.arguments import add_missing
-from ros2_standin.bags import BagInfo, add_reader_arguments, bag_info
+from ros2_standin.bags.reading import BagInfo, add_reader_arguments, bag_info
 from ros2_standin.verb import Result
 
 _INDENT = " " * 19

@@ -24,10 +24,10 @@ from ros2_standin.arguments import (
     non_negative_int,
     positive_float,
 )
-from ros2_standin.bags import add_reader_arguments, open_bag
+from ros2_standin.bags.reading import add_reader_arguments, open_bag
+from ros2_standin.bags.recorded_qos import offer_of
 from ros2_standin.log import info, warning
 from ros2_standin.node import cli_node
-from ros2_standin.recorded_qos import offer_of
 from ros2_standin.types import interface_class
 from ros2_standin.verb import Result, Terminated
 

@@ -19,12 +19,12 @@ from rclpy.signals import uninstall_signal_handlers
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from ros2_standin.arguments import add_missing, positive_int
-from ros2_standin.bags import STORAGES
-from ros2_standin.definitions import definition
+from ros2_standin.bags.definitions import definition
+from ros2_standin.bags.reading import STORAGES
+from ros2_standin.bags.recorded_qos import request_for, to_bag
 from ros2_standin.listen import Spinner
 from ros2_standin.log import error, info, warning
 from ros2_standin.node import cli_node, visible
-from ros2_standin.recorded_qos import request_for, to_bag
 from ros2_standin.types import interface_class
 from ros2_standin.verb import Result
 
