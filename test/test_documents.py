@@ -58,7 +58,7 @@ mfpcc() {
 }
 python() {
     case "$*" in
-        "-m mfpcc_experiments.method_figures"*) command python -c "import ${2}" ;;
+        "-m mfpcc_experiments.method "*) command python -c "import ${2}.__main__" ;;
         *) command python "$@" ;;
     esac
 }

@@ -1,7 +1,7 @@
 """What the learner of mls_mfpcc holds to where drives are not ideal.
 
 The rivals know the true parameters; `pi_foc` has the bandwidth where an optimiser puts it. Medians
-over few seeds; `mfpcc_experiments.method_figures` has more of both.
+over few seeds; `mfpcc_experiments.method` has more of both.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mfpcc_experiments.method_figures import ENCODER, dirty_drive, random_drive, real_run
+from mfpcc_experiments.method.drives import ENCODER, dirty_drive, random_drive, real_run
 from mfpcc_experiments.running.closed_loop import Run, run
 
 SEEDS = (1, 2, 3)

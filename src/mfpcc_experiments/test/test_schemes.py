@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mfpcc_controller.parameters import SCHEMES
-from mfpcc_experiments.method_figures import ENCODER, MISMATCH, random_drive, wrong_model
+from mfpcc_experiments.method.drives import ENCODER, MISMATCH, random_drive, wrong_model
 from mfpcc_experiments.running.closed_loop import Run, run
 from pwm_node import yaml_files
 
