@@ -1,13 +1,15 @@
-"""A folder of results that appears whole or not at all, and overwrites nothing by accident."""
+"""Files and folders of results that appear whole or not at all."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -23,6 +25,38 @@ _EMPTY_BAG = 50_000
 
 class ResultFolderError(ForPeople, ValueError):
     """A place where the results cannot go; the text says why and what to do."""
+
+
+def write_whole(path: Path, text: str) -> None:
+    """
+    Write a text file.
+
+    Parameters
+    ----------
+    path : Path
+        File; replaced if it is there.
+    text : str
+        Content.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; what was there stays.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    with interrupts.finished():
+        try:
+            temporary.write_text(text, encoding="utf-8")
+            os.replace(temporary, path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def write_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write ``metrics.json``, one object per run: what makes a folder one of results."""
+    write_whole(folder / MARK, json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
 
 
 @contextmanager

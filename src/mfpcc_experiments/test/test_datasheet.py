@@ -7,8 +7,8 @@ import math
 import pytest
 import yaml
 
-from mfpcc_experiments import cli, datasheet
-from mfpcc_experiments.datasheet import Sheet, SheetError, convert, quantity, read
+from mfpcc_experiments import cli
+from mfpcc_experiments.datasheet import Sheet, SheetError, conversion, convert, quantity, read
 from pmsm_sim import motor as plant_motor
 from pwm_node import yaml_files
 
@@ -293,4 +293,4 @@ def test_all_motors_there_are(capsys):
     assert len(names) >= 8
     for name in names:
         assert plant_motor.load(name).name == name
-    assert datasheet.TOLERANCE < 0.1
+    assert conversion.TOLERANCE < 0.1

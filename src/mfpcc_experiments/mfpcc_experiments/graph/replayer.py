@@ -25,7 +25,7 @@ import yaml
 from mfpcc_msgs.msg import DriveState, DutyCommand, PhaseFeedback
 
 from mfpcc_experiments.bags import BagError, Recording, recording
-from mfpcc_experiments.reporting.compare import write_whole
+from mfpcc_experiments.files import write_whole
 from pwm_node.parameters import Parameter, Table
 from pwm_node.ros import spin
 from pwm_node.ros.diagnostics import Part

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 
+from mfpcc_experiments.files import write_whole
 from mfpcc_experiments.method.figures import FIGURES
 from mfpcc_experiments.method.tables import TABLES, Rows
 from mfpcc_experiments.reporting.style import STYLE
@@ -53,9 +54,7 @@ def update(page: Path, names: Iterable[str], say: Callable[[str], None]) -> None
         for name in wanted & {*FIGURES}:
             say(f"figure {name}")
             FIGURES[name]().savefig(images / f"method_{name}.png")
-    unfinished = page.with_suffix(".new")
-    unfinished.write_text(text)
-    unfinished.replace(page)
+    write_whole(page, text)
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -14,6 +14,7 @@ from mfpcc_experiments.measuring.happened import scheme_title
 from mfpcc_experiments.method.drives import ENCODER, LOAD_STEP, MISMATCH, wrong_model
 from mfpcc_experiments.reporting.style import COLOURS, REFERENCE
 from mfpcc_experiments.running.closed_loop import Run, run
+from pwm_node.units import RPM
 
 
 def _time(r: Run) -> Any:
@@ -77,7 +78,7 @@ def figure_reversal() -> Figure:
     r = run("mls_mfpcc", 0.45, rpm=-750.0, plant=ENCODER, schedule=["0.2 speed_ref_rpm 750.0"])
     rows = slice(1800, None)
     time = 1e3 * _time(r)[rows]
-    axes[0].plot(time, r.state["speed"][rows] * 30.0 / np.pi, color=COLOURS[0])
+    axes[0].plot(time, r.state["speed"][rows] / RPM, color=COLOURS[0])
     axes[0].set_ylabel("r/min")
     _currents(axes[1], r, rows)
     axes[1].legend(ncols=3, loc="lower right")
@@ -242,7 +243,7 @@ def figure_weakening() -> Figure:
         schedule=["0.1 speed_ref_rpm 4500.0"],
     )
     time = 1e3 * _time(r)
-    axes[0].plot(time, r.state["speed"] * 30.0 / np.pi, color=COLOURS[0])
+    axes[0].plot(time, r.state["speed"] / RPM, color=COLOURS[0])
     axes[0].set_ylabel("r/min")
     for axis, name in enumerate("dq"):
         axes[1].plot(time, r.lut["i_dq"][:, axis], color=COLOURS[axis], label=f"$i_{name}$")

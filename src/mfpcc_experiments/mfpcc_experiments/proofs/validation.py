@@ -28,7 +28,6 @@ from pmsm_sim.reference import ReferencePlant
 from pwm_node.compiled import kernel
 from pwm_node.wire import fixed_dtype
 
-_RPM = 2.0 * np.pi / 60.0
 _PHASES = ("a", "b", "c")
 _SHIFT = np.array([0.0, 2.0, 4.0]) * np.pi / 3.0
 

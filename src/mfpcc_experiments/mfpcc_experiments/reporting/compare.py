@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from mfpcc_experiments.bags import BagError, recording
+from mfpcc_experiments.files import write_rows, write_whole
 from mfpcc_experiments.measuring.measured import Measured, labels, signals
 from mfpcc_experiments.measuring.metrics import evaluate
 from mfpcc_experiments.measuring.window import cut
-from pwm_node import interrupts
 
 Progress = Callable[[float], None]
 
@@ -68,7 +66,7 @@ def compare(
     drawn = figures.draw(runs, out / "figures")
     tell(_DRAWING)
     write_whole(out / "report.html", report.render(runs, drawn))
-    write_whole(out / "metrics.json", json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
+    write_rows(out, rows)
     tell(1.0)
     return rows
 
@@ -120,24 +118,3 @@ def _measure_one(
         "signals": signals(found),
         "config": found.config,
     }
-
-
-def write_whole(path: Path, text: str) -> None:
-    """
-    Write a file that is there whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        File; replaced if it is there.
-    text : str
-        Content.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with interrupts.finished():
-        try:
-            temporary.write_text(text, encoding="utf-8")
-            os.replace(temporary, path)
-        except OSError:
-            temporary.unlink(missing_ok=True)
-            raise

@@ -141,6 +141,7 @@ def command(
     from rich.table import Table
 
     from mfpcc_experiments import datasheet
+    from mfpcc_experiments.files import write_whole
 
     try:
         counted = {
@@ -172,7 +173,11 @@ def command(
     if out is None:
         click.echo(text, nl=False)
     else:
-        _write(out, text, force)
+        if out.exists() and not force:
+            raise click.ClickException(
+                f"{out}: there is such a file already; --force overwrites it"
+            )
+        write_whole(out, text)
         click.echo(f"written: {out}")
     if motor.contradictions:
         for sentence in motor.contradictions:
@@ -190,24 +195,3 @@ def _counted(option: str, told: str | None, number: Quantity | None, *, before: 
     if by_unit is not None and not told.endswith(by_unit):
         raise SheetError(f"the unit of {option} says '{by_unit}', its option '{told}'")
     return told
-
-
-def _write(path: Path, text: str, force: bool) -> None:
-    """Write the file whole or not at all."""
-    import os
-    import tempfile
-
-    from pwm_node import interrupts
-
-    if path.exists() and not force:
-        raise click.ClickException(f"{path}: there is such a file already; --force overwrites it")
-    with interrupts.finished():
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            Path(temporary).chmod(0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise

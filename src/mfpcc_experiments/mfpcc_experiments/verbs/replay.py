@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,11 +64,10 @@ def command(
     from mfpcc_controller.parameters import SCHEMES, TABLE
     from mfpcc_experiments import notes
     from mfpcc_experiments.bags import recording
-    from mfpcc_experiments.files import result_folder
+    from mfpcc_experiments.files import result_folder, write_rows
     from mfpcc_experiments.measuring import replay, replay_summary
     from mfpcc_experiments.progress import progress_bar
     from mfpcc_experiments.reporting import replay_figure
-    from mfpcc_experiments.reporting.compare import write_whole
     from pwm_node import compiled
     from pwm_node.parameters import ParameterError
 
@@ -90,7 +88,7 @@ def command(
             results = [replay.replay(samples, s, begin(s, 1.0)) for s in schemes]
         rows = [replay_summary.summary(samples, result) for result in results]
         replay_figure.draw(samples, results, rows, folder / "replay.png")
-        write_whole(folder / "metrics.json", json.dumps(rows, indent=2) + "\n")
+        write_rows(folder, rows)
     _print(samples, results, rows)
     click.echo(verdict)
     click.echo(f"figure: {out / 'replay.png'}")

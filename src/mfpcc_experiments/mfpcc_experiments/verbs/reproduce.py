@@ -91,13 +91,12 @@ def _reproduce(
     figures: Sequence[str], engine: str, seeds: Sequence[int], folder: Path, *, timed: bool
 ) -> tuple[list[Statement], Results]:
     """Run, measure, draw and write, with a progress bar."""
-    import json
 
     from mfpcc_experiments.bags import recording
+    from mfpcc_experiments.files import write_rows, write_whole
     from mfpcc_experiments.paper import figures as paper_figures
     from mfpcc_experiments.paper import report, runs, statements
     from mfpcc_experiments.progress import progress_bar
-    from mfpcc_experiments.reporting.compare import write_whole
     from mfpcc_experiments.running import run, scenario
     from pwm_node import compiled
 
@@ -136,7 +135,7 @@ def _reproduce(
         write_whole(folder / "report.html", report.render(results, said, drawn, engine=engine))
         write_whole(folder / "statements.json", statements.to_json(results, said) + "\n")
         rows = [{**each.row, "of_paper": each.more} for each in measured]
-        write_whole(folder / "metrics.json", json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
+        write_rows(folder, rows)
     return said, results
 
 
