@@ -28,6 +28,7 @@ import numba
 import numpy as np
 from numba.core import config as numba_config
 from numba.core import event as numba_event
+from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -65,16 +66,37 @@ def kernel(function: Function) -> Function:
     """
     digest = _digest(function)
     function.__kernel_digest__ = digest  # type: ignore[attr-defined]
-    folder = _folder(function, digest)
-    # This setting says where the cache of a function is at the moment it is decorated.
-    before = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(folder or "")
-    try:
-        return numba.njit(  # type: ignore[no-any-return]
-            function, cache=folder is not None, error_model="numpy", nogil=True
-        )
-    finally:
-        numba_config.CACHE_DIR = before
+    compiled = numba.njit(function, error_model="numpy", nogil=True)
+    if isinstance(compiled, Dispatcher):
+        compiled._cache = _ToBeOpened(compiled, digest)
+    return compiled  # type: ignore[no-any-return]
+
+
+class _ToBeOpened:
+    """Where a kernel is kept, opened when numba first asks for it.
+
+    Most kernels only become a part of others, and are not asked for where those come from disk. To
+    open all of their folders would be a tenth of the start of a process.
+    """
+
+    def __init__(self, kernel: Dispatcher, digest: str) -> None:
+        self._kernel = kernel
+        self._digest = digest
+
+    def __getattr__(self, name: str) -> Any:
+        kernel = self._kernel
+        folder = _folder(kernel.py_func, self._digest)
+        if folder is None:
+            kernel._cache = NullCache()
+        else:
+            # This setting says where the cache of a function is at the moment it is opened.
+            before = numba_config.CACHE_DIR
+            numba_config.CACHE_DIR = str(folder)
+            try:
+                kernel.enable_caching()
+            finally:
+                numba_config.CACHE_DIR = before
+        return getattr(kernel._cache, name)
 
 
 def direct(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:

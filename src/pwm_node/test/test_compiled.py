@@ -135,3 +135,17 @@ OUTER = 1.0
 
 def _nested(x):
     return [np.add(x, y + OUTER) for y in x]
+
+
+def test_a_kernel_opens_its_folder_when_it_is_first_called(tmp_path, monkeypatch):
+    """A start is not to pay for the many kernels that are only a part of others."""
+    monkeypatch.setenv("MFPCC_CACHE", str(tmp_path))
+
+    @kernel
+    def double(x):
+        return 2.0 * x
+
+    assert not list(tmp_path.iterdir())
+    assert double(2.0) == 4.0
+    (folder,) = (tmp_path / "kernels").iterdir()
+    assert list(folder.rglob("*.nbc")), "what was compiled is kept there"
