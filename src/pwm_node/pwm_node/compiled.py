@@ -66,8 +66,8 @@ def kernel(function: Function) -> Function:
     """
     digest = _digest(function)
     function.__kernel_digest__ = digest  # type: ignore[attr-defined]
-    compiled = numba.njit(function, error_model="numpy", nogil=True)
-    if isinstance(compiled, Dispatcher):
+    compiled: Any = numba.njit(function, error_model="numpy", nogil=True)
+    if compiled is not function:  # it is where numba is switched off
         compiled._cache = _ToBeOpened(compiled, digest)
     return compiled  # type: ignore[no-any-return]
 
@@ -79,7 +79,7 @@ class _ToBeOpened:
     open all of their folders would be a tenth of the start of a process.
     """
 
-    def __init__(self, kernel: Dispatcher, digest: str) -> None:
+    def __init__(self, kernel: Any, digest: str) -> None:
         self._kernel = kernel
         self._digest = digest
 
