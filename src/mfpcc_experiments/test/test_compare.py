@@ -13,7 +13,7 @@ import pytest
 from harness import PATIENCE
 
 from mfpcc_experiments.bags import BagError, recording
-from mfpcc_experiments.measuring import happened, measured, window
+from mfpcc_experiments.measuring import happened, measured, signals, window
 from mfpcc_experiments.reporting import compare, figures, report, table, traces
 
 CONTRACT = {
@@ -276,7 +276,7 @@ def test_traces_hold_the_signal_to_a_screens_resolution():
 def test_long_traces_keep_their_extremes_and_the_window():
     values = np.zeros(1_000_000, dtype=np.float32)
     values[123_456] = 7.0  # one period in 100 s
-    coarse, fine = traces._segments(measured.Signal(0.0, 1e-4, values), 50.0, 50.2)
+    coarse, fine = traces._segments(signals.Signal(0.0, 1e-4, values), 50.0, 50.2)
     assert coarse["pairs"] and coarse["low"] + 65534 * coarse["scale"] == pytest.approx(7.0)
     assert coarse["dt"] * traces.FULL / 2 >= 100.0
     assert (fine["t0"], fine["dt"], fine["pairs"]) == (50.0, 1e-4, False)

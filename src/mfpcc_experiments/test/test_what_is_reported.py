@@ -18,7 +18,8 @@ from mfpcc_controller.parameters import TABLE, Parameter
 from mfpcc_experiments import cli, notes
 from mfpcc_experiments.bags import recording
 from mfpcc_experiments.measuring import metrics, window
-from mfpcc_experiments.measuring.measured import Measured, signals
+from mfpcc_experiments.measuring.measured import Measured
+from mfpcc_experiments.measuring.signals import signals
 from mfpcc_experiments.reporting import figures, table
 from mfpcc_experiments.reporting.style import COLOURS, MARKS
 from mfpcc_experiments.running import run, scenario

@@ -22,7 +22,7 @@ from mfpcc_controller.controller import Controller
 from mfpcc_experiments.bags import Recording, recording
 from mfpcc_experiments.measuring import metrics, waveform, window
 from mfpcc_experiments.measuring.happened import latched
-from mfpcc_experiments.measuring.measured import Signal, signals
+from mfpcc_experiments.measuring.signals import Signal, signals
 from mfpcc_experiments.measuring.window import Window
 from mfpcc_experiments.running import scenario
 from mfpcc_experiments.running.configuration import configuration

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.measuring.measured import Measured, Signal
+from mfpcc_experiments.measuring.measured import Measured
+from mfpcc_experiments.measuring.signals import QUANTITIES, Quantity, Signal
 from mfpcc_experiments.reporting.style import COLOURS, mark
 
 #: Values per signal up to which all are stored. Of longer signals, the extremes of equal spans are,
@@ -23,32 +25,23 @@ FULL = 250_000
 #: Points of the oversampled waveform that are stored, from the begin of the window on.
 FINE = 60_000
 
-#: The viewer's panels: title, unit, signals (a dashed line for the second), and whether there is
-#: an oversampled waveform for it.
-PANELS: tuple[tuple[str, str, tuple[str, ...], str | None], ...] = (
-    ("Phase current a", "A", ("i_a",), "i_a"),
-    ("i_d", "A", ("i_d", "i_d_ref"), "i_d"),
-    ("i_q", "A", ("i_q", "i_q_ref"), "i_q"),
-    ("Prediction error d", "A", ("error_d",), None),
-    ("Prediction error q", "A", ("error_q",), None),
-    ("Torque", "N m", ("torque", "load_torque"), None),
-    ("Speed", "r/min", ("speed", "speed_ref"), None),
-)
-
 
 def traces(runs: Sequence[Measured]) -> dict[str, Any]:
     """All that the viewer shows, as JSON values."""
     panels = []
-    for title, unit, names, fine in PANELS:
+    for (title, unit), together in groupby(QUANTITIES, lambda q: (q.panel, q.unit)):
+        quantities = list(together)
         series: list[dict[str, Any]] = []
         for n, run in enumerate(runs):
-            for dash, name in enumerate(names):
-                if name in run.signals:
-                    parts = _segments(run.signals[name], run.window.begin, run.window.end)
+            for dash, quantity in enumerate(quantities):
+                if quantity.name in run.signals:
+                    signal = run.signals[quantity.name]
+                    parts = _segments(signal, run.window.begin, run.window.end)
                     series.append({"run": n, "dash": bool(dash), "fine": False, "parts": parts})
-            waveform = None if fine is None else _fine(run, fine)
-            if waveform is not None:
-                series.append({"run": n, "dash": False, "fine": True, "parts": [waveform]})
+            for quantity in quantities:
+                waveform = _fine(run, quantity)
+                if waveform is not None:
+                    series.append({"run": n, "dash": False, "fine": True, "parts": [waveform]})
         if series:
             panels.append({"title": title, "unit": unit, "series": series})
     ends = [s.begin + s.step * len(s.values) for run in runs for s in run.signals.values()]
@@ -93,12 +86,12 @@ def _segments(signal: Signal, begin: float, end: float) -> list[dict[str, Any]]:
     return [coarse, _packed(signal.begin + first * signal.step, signal.step, part)]
 
 
-def _fine(run: Measured, name: str) -> dict[str, Any] | None:
+def _fine(run: Measured, quantity: Quantity) -> dict[str, Any] | None:
     """The oversampled waveform of the window, as far as there is room for it."""
     w = run.window
-    if w.fine_time is None or w.fine_abc is None or w.fine_dq is None:
+    values = None if quantity.fine is None else quantity.fine(w)
+    if values is None or w.fine_time is None:
         return None
-    values = {"i_a": w.fine_abc[:, 0], "i_d": w.fine_dq.real, "i_q": w.fine_dq.imag}[name]
     step = 1.0 / run.row["sampling_rate_hz"]["oversampled"]
     return _packed(float(w.fine_time[0]), step, values[:FINE].astype(np.float32))
 
