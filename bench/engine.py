@@ -12,8 +12,8 @@ import numpy as np
 from figures import Figure, figure, interleaved
 
 from mfpcc_controller.controller import Controller
+from mfpcc_experiments.running import Scenario
 from mfpcc_experiments.running.engine import Engine, step_time
-from mfpcc_experiments.running.scenario import Scenario
 from pwm_node import yaml_files
 
 _SCHEMES = ("mfpcc", "mls_mfpcc", "neso_mfpcc")

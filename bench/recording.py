@@ -13,8 +13,7 @@ import drives
 from figures import Figure, figure
 
 from mfpcc_experiments.bags import recording
-from mfpcc_experiments.running import run
-from mfpcc_experiments.running.scenario import Scenario
+from mfpcc_experiments.running import Scenario, run
 
 
 def measure(*, quick: bool) -> list[Figure]:

@@ -33,7 +33,7 @@ from rich.table import Table
 
 from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import SCHEMES
-from mfpcc_experiments.graph.black_box import BlackBoxNode
+from mfpcc_experiments.graph import BlackBoxNode
 from pmsm_sim.node import PmsmSim
 from pwm_node.ros import spin
 from pwm_node.ros.node import PwmNode

@@ -33,12 +33,10 @@ from mfpcc_controller.parameters import SCHEMES
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.bags import BagWriter, recording
 from mfpcc_experiments.cli import cli
+from mfpcc_experiments.graph import Recorder, Replayer
 from mfpcc_experiments.graph.black_box import DIRECTORY, PARAMETER, BlackBoxNode
-from mfpcc_experiments.graph.recorder import Recorder
 from mfpcc_experiments.graph.replayer import TABLE as REPLAYER
-from mfpcc_experiments.graph.replayer import Replayer
-from mfpcc_experiments.measuring.metrics import METRICS
-from mfpcc_experiments.measuring.steadiness import Need
+from mfpcc_experiments.measuring import METRICS, Need
 from mfpcc_experiments.running import scenario
 from pmsm_sim import motor
 from pmsm_sim import protection as plant_protection

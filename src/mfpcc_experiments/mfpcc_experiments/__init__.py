@@ -9,21 +9,18 @@ For scripts and notebooks: `run` and `load` give a `Result`, `Experiment` descri
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
+
+from mfpcc_experiments.front_door import front_door
 
 if TYPE_CHECKING:
     from mfpcc_experiments.results import Result, load, run
-    from mfpcc_experiments.running.scenario import Scenario as Experiment
+    from mfpcc_experiments.running import Scenario as Experiment
 
 __all__ = ["Experiment", "Result", "load", "run"]
 
-_WHERE = {"Experiment": ("running.scenario", "Scenario")}
+_find = front_door(__name__, {"results": ("Result", "load", "run"), "running": ("Scenario",)})
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for only then: the command line is there at once without it."""
-    if name not in __all__:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    module, attribute = _WHERE.get(name, ("results", name))
-    return getattr(importlib.import_module(f"{__name__}.{module}"), attribute)
+    return _find("Scenario" if name == "Experiment" else name)

@@ -21,9 +21,8 @@ from mfpcc_experiments.files import result_folder
 from mfpcc_experiments.measuring import metrics, window
 from mfpcc_experiments.measuring.columns import columns
 from mfpcc_experiments.progress import progress_bar
-from mfpcc_experiments.running import ENGINES, scenario
+from mfpcc_experiments.running import ENGINES, Scenario, scenario
 from mfpcc_experiments.running import run as running
-from mfpcc_experiments.running.scenario import Scenario
 from pwm_node.errors import ForPeople
 from pwm_node.names import unknown
 from pwm_node.parameters import ParameterError

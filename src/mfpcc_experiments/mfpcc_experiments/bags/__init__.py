@@ -13,8 +13,9 @@ them belong together), `recording`. Downwards: `writer`, `sink`, `metadata`. Wha
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from mfpcc_experiments.front_door import front_door
 
 if TYPE_CHECKING:
     from mfpcc_experiments.bags.bag_parts import bags_in
@@ -23,16 +24,6 @@ if TYPE_CHECKING:
     from mfpcc_experiments.bags.recording import Recording, read
     from mfpcc_experiments.bags.topics import LOOP_TOPICS
     from mfpcc_experiments.bags.writer import BagWriter
-
-_WHERE = {
-    "BagError": "errors",
-    "BagWriter": "writer",
-    "LOOP_TOPICS": "topics",
-    "Recording": "recording",
-    "bags_in": "bag_parts",
-    "read": "recording",
-    "versions": "provenance",
-}
 
 __all__ = [
     "LOOP_TOPICS",
@@ -44,9 +35,14 @@ __all__ = [
     "versions",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Import what is asked for only then: a node that only records needs nothing that reads."""
-    if name not in _WHERE:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"{__name__}.{_WHERE[name]}"), name)
+__getattr__ = front_door(
+    __name__,
+    {
+        "bag_parts": ("bags_in",),
+        "errors": ("BagError",),
+        "provenance": ("versions",),
+        "recording": ("Recording", "read"),
+        "topics": ("LOOP_TOPICS",),
+        "writer": ("BagWriter",),
+    },
+)

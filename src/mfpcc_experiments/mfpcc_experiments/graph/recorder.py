@@ -38,7 +38,7 @@ from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter
 from mfpcc_experiments.graph import loop_messages
 from mfpcc_experiments.graph.black_box import BlackBox
 from mfpcc_experiments.graph.remote_node import RemoteNode
-from mfpcc_experiments.measuring.happened import latched
+from mfpcc_experiments.measuring import latched
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import interrupts, stamps
 from pwm_node.ros import guard, ros_parameters, spin

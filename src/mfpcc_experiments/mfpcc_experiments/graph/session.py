@@ -18,7 +18,7 @@ from rclpy.task import Future
 
 from mfpcc_experiments.bags import BagWriter
 from mfpcc_experiments.graph import loop_messages
-from mfpcc_experiments.measuring.happened import latched
+from mfpcc_experiments.measuring import latched
 from pmsm_sim.node import PmsmSim
 from pwm_node import stamps
 from pwm_node.errors import ForPeople

@@ -17,7 +17,7 @@ import matplotlib as mpl
 from mfpcc_experiments.files import write_whole
 from mfpcc_experiments.method.figures import FIGURES
 from mfpcc_experiments.method.tables import TABLES, Rows
-from mfpcc_experiments.reporting.style import STYLE
+from mfpcc_experiments.reporting import STYLE
 
 
 def markdown(rows: Rows) -> str:

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mfpcc_controller.parameters import SCHEMES
-from mfpcc_experiments.measuring.happened import scheme_title
+from mfpcc_experiments.measuring import scheme_title
 from mfpcc_experiments.method.drives import ENCODER, LOAD_STEP, MISMATCH, wrong_model
-from mfpcc_experiments.reporting.style import COLOURS, REFERENCE
+from mfpcc_experiments.reporting import COLOURS, REFERENCE
 from mfpcc_experiments.running.closed_loop import Run, run
 from pwm_node.units import RPM
 

@@ -18,11 +18,11 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from mfpcc_experiments.measuring.happened import scheme_title
+from mfpcc_experiments.measuring import scheme_title
 from mfpcc_experiments.paper.runs import MISMATCHES, STEADY, STEPS, Results, Run, Shown
 from mfpcc_experiments.paper.statements import FITTED
+from mfpcc_experiments.reporting import COLOURS, REFERENCE, STYLE
 from mfpcc_experiments.reporting.figures import format_value, limits, note, save
-from mfpcc_experiments.reporting.style import COLOURS, REFERENCE, STYLE
 
 _CONDITIONS = {
     "steady_750_2": "750 r/min, 2 N m",

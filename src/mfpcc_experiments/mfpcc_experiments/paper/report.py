@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from mfpcc_experiments.measuring.happened import scheme_title
+from mfpcc_experiments.measuring import scheme_title
 from mfpcc_experiments.notes import Severity
 from mfpcc_experiments.paper.judging import (
     BY_CHANCE,
@@ -19,8 +19,7 @@ from mfpcc_experiments.paper.judging import (
 )
 from mfpcc_experiments.paper.runs import TIMES, Results
 from mfpcc_experiments.paper.statements import FITTED
-from mfpcc_experiments.reporting import html
-from mfpcc_experiments.reporting.table import Line, lines
+from mfpcc_experiments.reporting import Line, html, lines
 from mfpcc_experiments.running import scenario
 
 # Of the verdicts, by the classes of the page: as it should be, in part, and (all others) not.

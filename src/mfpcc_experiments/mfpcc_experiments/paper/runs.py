@@ -20,14 +20,11 @@ from numpy.typing import NDArray
 
 from mfpcc_controller.controller import Controller
 from mfpcc_experiments.bags import Recording, recording
-from mfpcc_experiments.measuring import metrics, waveform, window
-from mfpcc_experiments.measuring.happened import latched
+from mfpcc_experiments.measuring import Window, latched, metrics, waveform, window
 from mfpcc_experiments.measuring.signals import Signal, signals
-from mfpcc_experiments.measuring.window import Window
-from mfpcc_experiments.running import scenario
+from mfpcc_experiments.running import Scenario, scenario
 from mfpcc_experiments.running.configuration import configuration
 from mfpcc_experiments.running.engine import Engine, Trace, step_time
-from mfpcc_experiments.running.scenario import Scenario
 from pwm_node.units import RPM
 
 Progress = Callable[[float], None]

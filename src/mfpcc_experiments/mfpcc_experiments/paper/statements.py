@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mfpcc_experiments.measuring.happened import scheme_title
+from mfpcc_experiments.measuring import scheme_title
 from mfpcc_experiments.notes import Severity
 from mfpcc_experiments.paper.judging import (
     AGREEMENT,

@@ -1,1 +1,3 @@
-"""Proofs of the simulated drive and of its behaviour under faults."""
+"""Proofs of the simulated drive (`validation`) and of its behaviour under faults (`faults`)."""
+
+__all__ = ["faults", "validation"]

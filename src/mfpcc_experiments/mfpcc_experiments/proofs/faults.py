@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.running.engine import Engine
+from mfpcc_experiments.running import Engine
 from pmsm_sim.injection import UNITS
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant

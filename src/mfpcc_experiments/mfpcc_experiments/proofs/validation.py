@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from mfpcc_msgs.msg import DriveState, PhaseFeedback
 from numpy.typing import NDArray
 
-from mfpcc_experiments.reporting.style import COLOURS, STYLE
-from mfpcc_experiments.running.engine import Engine, Trace
+from mfpcc_experiments.reporting import COLOURS, STYLE
+from mfpcc_experiments.running import Engine, Trace
 from pmsm_sim import flux_map
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant, advance

@@ -8,10 +8,8 @@ from typing import Any
 
 from mfpcc_experiments.bags import BagError, recording
 from mfpcc_experiments.files import write_rows, write_whole
-from mfpcc_experiments.measuring.measured import Measured, labels
-from mfpcc_experiments.measuring.metrics import evaluate
+from mfpcc_experiments.measuring import Measured, cut, evaluate, labels
 from mfpcc_experiments.measuring.signals import signals
-from mfpcc_experiments.measuring.window import cut
 
 Progress = Callable[[float], None]
 

@@ -19,9 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from mfpcc_experiments.measuring import waveform
-from mfpcc_experiments.measuring.measured import Measured
-from mfpcc_experiments.measuring.window import Window
+from mfpcc_experiments.measuring import Measured, Window, waveform
 from mfpcc_experiments.reporting.style import COLOURS, FORMATS, PHASES, REFERENCE, STYLE
 
 #: Electrical periods shown of the phase currents: in a steady state, and around a transient.

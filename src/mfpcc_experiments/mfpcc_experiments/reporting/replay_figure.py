@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from mfpcc_experiments.measuring.happened import scheme_title
-from mfpcc_experiments.measuring.replay import Replay, Samples
+from mfpcc_experiments.measuring import Replay, Samples, scheme_title
 from mfpcc_experiments.measuring.replay_summary import window_rows
 from mfpcc_experiments.reporting.figures import format_value, limits, note, save
 from mfpcc_experiments.reporting.style import COLOURS, REFERENCE, STYLE

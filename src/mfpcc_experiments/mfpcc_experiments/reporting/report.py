@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mfpcc_experiments.measuring.measured import Measured
+from mfpcc_experiments.measuring import Measured
 from mfpcc_experiments.reporting import html
 from mfpcc_experiments.reporting.style import COLOURS, mark
 from mfpcc_experiments.reporting.table import lines

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mfpcc_experiments import notes
-from mfpcc_experiments.measuring.measured import labels
-from mfpcc_experiments.measuring.metrics import METRICS, Metric
+from mfpcc_experiments.measuring import METRICS, Metric, labels
 
 #: In the place of a figure that there is not.
 NONE = "–"

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.measuring.measured import Measured
-from mfpcc_experiments.measuring.signals import QUANTITIES, Quantity, Signal
+from mfpcc_experiments.measuring import QUANTITIES, Measured, Quantity, Signal
 from mfpcc_experiments.reporting.style import COLOURS, mark
 
 #: Values per signal up to which all are stored. Of longer signals, the extremes of equal spans are,

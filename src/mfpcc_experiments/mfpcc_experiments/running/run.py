@@ -9,7 +9,7 @@ import numpy as np
 
 from mfpcc_controller.controller import Controller
 from mfpcc_experiments.bags import BagWriter
-from mfpcc_experiments.measuring.happened import latched
+from mfpcc_experiments.measuring import latched
 from mfpcc_experiments.progress import Tell
 from mfpcc_experiments.running.configuration import configuration
 from mfpcc_experiments.running.engine import Engine, step_time

@@ -11,7 +11,7 @@ import click
 from mfpcc_experiments import completion
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.measuring.replay import Replay, Samples
+    from mfpcc_experiments.measuring import Replay, Samples
     from pwm_node.parameters import Table
 
 
@@ -137,8 +137,7 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
     from rich.table import Table as Grid
 
     from mfpcc_experiments import notes
-    from mfpcc_experiments.measuring import replay_summary
-    from mfpcc_experiments.measuring.happened import scheme_title
+    from mfpcc_experiments.measuring import replay_summary, scheme_title
 
     def number(value: float | None, digits: int = 3) -> str:
         return "–" if value is None else f"{value:.{digits}f}"

@@ -12,7 +12,7 @@ from mfpcc_experiments.running import ENGINES
 from mfpcc_experiments.verbs.compare import conclude
 
 if TYPE_CHECKING:
-    from mfpcc_experiments.running.scenario import Scenario
+    from mfpcc_experiments.running import Scenario
 
 
 @click.command(short_help="Run an experiment with one or more schemes, and compare.")
