@@ -244,3 +244,49 @@ def test_a_window_of_few_periods_has_no_parts():
     w = make_window(n=600)
     assert window.parts(w) == []
     assert metrics.scatter(w) == {"parts": 0, "mean": {}, "std": {}}
+
+
+def drifting(shape: str, distortion: float, change: float, seed: int = 0):
+    """1 A at 50 Hz over 0.2 s: noise and a sixth harmonic of `distortion`, and a slow `change`."""
+    rng = np.random.default_rng(seed)
+    theta = 2.0 * np.pi * 50.0 * np.arange(2000) * 1e-4
+    x = np.linspace(0.0, 1.0, 2000)
+    moves = {
+        "ramp": x,
+        "bend": 4.0 * x * (1.0 - x),
+        "swing": 0.5 * np.sin(2.0 * np.pi * 1.3 * x),
+        "settling": np.exp(-4.0 * x),
+        "step": (x > 0.4).astype(float),
+    }[shape]
+    noise = rng.normal(size=(2, 2000)) / 2.0
+    content = noise[0] + 1j * noise[1] + np.sqrt(0.5) * np.exp(6j * theta)
+    return 1j * (1.0 + change * moves) + distortion * content, theta
+
+
+SLOW = ("ramp", "bend", "swing", "settling", "step")
+
+
+@pytest.mark.parametrize("shape", SLOW)
+@pytest.mark.parametrize("distortion", [0.01, 0.03, 0.18])
+def test_a_drift_that_would_count_as_distortion_is_not_steady(shape, distortion):
+    """What passes changes the rms content by less than 5 %, whatever its shape."""
+    for share in np.geomspace(0.02, 20.0, 40):
+        change = share * distortion
+        i_dq, theta = drifting(shape, distortion, change)
+        without, _ = drifting(shape, distortion, 0.0)
+        if steadiness.is_steady(i_dq, theta):
+            assert waveform.ripple_rms(i_dq) < 1.05 * waveform.ripple_rms(without), change
+            passed = change
+    assert passed > 0.05 * distortion  # not everything is refused
+    # a tenth, which is no distortion of one percent
+    assert not steadiness.is_steady(*drifting(shape, distortion, max(0.1, distortion)))
+
+
+@pytest.mark.parametrize("turns", [1.6, 2.0, 3.0, 10.0, 160.0])
+@pytest.mark.parametrize("distortion", [0.001, 0.01, 0.2])
+def test_noise_is_no_drift(turns, distortion):
+    rng = np.random.default_rng(7)
+    theta = 2.0 * np.pi * turns * np.arange(2000) / 2000.0
+    for _ in range(50):
+        noise = rng.normal(size=(2, 2000)) / np.sqrt(2.0)
+        assert steadiness.is_steady(1j + distortion * (noise[0] + 1j * noise[1]), theta)

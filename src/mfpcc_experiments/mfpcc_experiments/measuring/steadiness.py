@@ -8,6 +8,7 @@ control, or with samples missing. Whatever is missing, a note says why.
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -36,13 +37,25 @@ if TYPE_CHECKING:
 FEWEST_PERIODS = 1.5
 
 #: Deviation of the mean current over one electrical period, over its size, and of the speed, from
-#: which on a window holds a transient. The largest seen in a steady state are 0.025 and 0.003
+#: which on a window holds a transient. The largest seen in a steady state are 0.045 and 0.003
 #: (one vector per period, 18 % THD).
 TRANSIENT = 0.05
 
-# A slow change below that is one too if it makes so much of the content that THD and ripple count;
-# below the second share of the current it is never.
-_OF_CONTENT, _NO_CHANGE = 0.3, 0.005
+#: Shares of the rms content, which THD and ripple count, that a steady trend may be, and all slow
+#: movement together. What passes adds less than 5 % to a THD.
+TREND, MOVEMENT = 0.1, 0.2
+
+# Below this share of the current a change is never slow content: it does not count beside a
+# distortion of 1 %.
+_NO_CHANGE = 0.001
+
+# A mean over n samples of white noise moves by 1 / sqrt(n) of it. The noise of a controlled current
+# is not white: the largest movement, trend of a window and excursion of one mean seen in steady
+# states of all schemes are 3.4, 6.1 and 4.5 times that.
+_MOVEMENT_BY_CHANCE, _TREND_BY_CHANCE, _EXCURSION_BY_CHANCE = 3.5, 7.0, 5.0
+
+# Means over so many parts of a window show how it moves.
+_PARTS = 10
 
 # What is small for a motor: so much of its largest current, speed or torque.
 _SMALL = 0.01
@@ -76,8 +89,10 @@ def is_steady(
     """
     Whether the current stands still over a window; THD and ripple are defined only then.
 
-    Its mean over one electrical period may move by so little that it is neither a transient of its
-    own nor a good part of what THD and ripple count.
+    Its mean over one electrical period must not leave its place as in a transient; and over the
+    window it may move by so little that this is no part of what THD and ripple count: neither as a
+    trend, nor in any other slow way. Means over whole electrical periods, of a tenth of the window
+    or one, tell that.
 
     Parameters
     ----------
@@ -93,13 +108,30 @@ def is_steady(
     means = period_means(i_dq, theta)
     if not len(means):
         return False
-    whole = i_dq if waveform is None else waveform
     size = max(abs(complex(np.mean(means))), _SMALL * i_max)
-    away = np.abs(means - np.mean(means))
-    moved, content = rms(away), rms(np.abs(whole - np.mean(whole)))
-    if moved > max(_NO_CHANGE * size, _OF_CONTENT * content):
-        return False
-    return bool(np.max(away) <= TRANSIENT * size)
+    turned = float(turns(theta)[-1])
+    each = max(1, int(turned) // _PARTS)
+    slow = period_means(i_dq, theta, each)
+    slow = slow - np.mean(slow)
+    line = np.linspace(-1.0, 1.0, len(slow))
+    trend = abs(complex(line @ slow)) / max(math.sqrt(float(line @ line) * len(slow)), 1.0)
+    whole = i_dq if waveform is None else waveform
+    content, noise = (rms(np.abs(i - np.mean(i))) for i in (whole, i_dq))
+    samples = len(i_dq) / (turned if turned >= STANDSTILL else PARTS_AT_STANDSTILL)
+    least = _NO_CHANGE * size
+    far, slope, moved = (
+        factor * noise / math.sqrt(n)
+        for factor, n in (
+            (_EXCURSION_BY_CHANCE, samples),
+            (_TREND_BY_CHANCE, len(i_dq)),
+            (_MOVEMENT_BY_CHANCE, samples * each),
+        )
+    )
+    return bool(
+        np.max(np.abs(means - np.mean(means))) <= max(TRANSIENT * size, far)
+        and trend <= max(least, TREND * content, slope)
+        and rms(np.abs(slow)) <= max(least, MOVEMENT * content, moved)
+    )
 
 
 class Need(StrEnum):

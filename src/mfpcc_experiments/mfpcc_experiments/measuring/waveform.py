@@ -264,9 +264,9 @@ def turns(theta: Array) -> Array:
     return turned
 
 
-def period_means(x: NDArray[Any], theta: Array) -> NDArray[Any]:
+def period_means(x: NDArray[Any], theta: Array, periods: int = 1) -> NDArray[Any]:
     """
-    Mean of a signal over one electrical period, from every sample on that has one before it.
+    Mean of a signal over whole electrical periods, from every sample on that has them before it.
 
     Harmonics of the fundamental vanish in it; what remains changes with the state only. At
     standstill the means of equal parts of the time.
@@ -277,11 +277,13 @@ def period_means(x: NDArray[Any], theta: Array) -> NDArray[Any]:
         Signal at equal steps.
     theta : ndarray, shape (n,)
         Electrical angle at the same instants, unwrapped (rad).
+    periods : int
+        Over how many electrical periods.
 
     Returns
     -------
     ndarray, shape (m,)
-        Empty where there is no whole period.
+        Empty where there are not so many whole periods.
     """
     n = len(x)
     turned = turns(theta)
@@ -291,8 +293,8 @@ def period_means(x: NDArray[Any], theta: Array) -> NDArray[Any]:
     edges = np.arange(n + 1.0)
     turned = np.append(turned, 2.0 * turned[-1] - turned[-2])
     # half a sample of tolerance, as in `fundamental`
-    starts = np.flatnonzero(turned[:-1] + 1.0 <= turned[-1] + 0.5 * (turned[-1] / n))
-    ends = np.interp(turned[starts] + 1.0, turned, edges)
+    starts = np.flatnonzero(turned[:-1] + periods <= turned[-1] + 0.5 * (turned[-1] / n))
+    ends = np.interp(turned[starts] + periods, turned, edges)
     total = np.concatenate([np.zeros(1, x.dtype), np.cumsum(x)])
     at_ends = np.interp(ends, edges, total.real) + 1j * np.interp(ends, edges, total.imag)
     means = (at_ends - total[starts]) / (ends - starts)
