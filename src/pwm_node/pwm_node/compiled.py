@@ -133,14 +133,14 @@ def announce(say: Callable[[str], None] | None = None) -> None:
 
 
 class _Announcer(numba_event.Listener):  # type: ignore[misc]
-    _said = False
+    _announced = False
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
 
     def on_start(self, event: Any) -> None:
-        if not _Announcer._said:
-            _Announcer._said = True
+        if not _Announcer._announced:
+            _Announcer._announced = True
             self._say("compiling kernels (first start only) ...")
 
     def on_end(self, event: Any) -> None:

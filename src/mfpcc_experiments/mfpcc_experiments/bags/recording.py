@@ -205,11 +205,13 @@ class _Collector:
                 self.config = value
             case Entry(name, value) if name == SUMMARY_RECORD and isinstance(value, dict):
                 self.summary = value
-            case Counts(found, told):
+            case Counts(found, stated):
                 for name, count in found.items():
                     self._counts[name] = self._counts.get(name, 0) + count
-                if told is not None and told != sum(found.values()):
-                    text = f"{file.name} holds {sum(found.values())} messages, not the {told} that"
+                if stated is not None and stated != sum(found.values()):
+                    text = (
+                        f"{file.name} holds {sum(found.values())} messages, not the {stated} that"
+                    )
                     self._notes.append(warning(f"{text} its own summary tells of"))
 
     def recording(self) -> Recording:
@@ -276,11 +278,11 @@ class _Collector:
 
     def _check_counts(self) -> None:
         """Hold what was found against what ``metadata.yaml`` tells of."""
-        told = self._parts.message_counts
-        if told is None:
+        stated = self._parts.message_counts
+        if stated is None:
             return
-        for name in sorted({*told, *self._counts}):
-            count, there = told.get(name, 0), self._counts.get(name, 0)
+        for name in sorted({*stated, *self._counts}):
+            count, there = stated.get(name, 0), self._counts.get(name, 0)
             if count != there:
                 self._notes.append(
                     warning(
@@ -312,14 +314,17 @@ def _complete(recording: Recording) -> None:
     config, feedback = recording.config, recording.feedback
     with suppress(KeyError, TypeError, ValueError):
         recording.T_s = float(config["T_s"])
-    told = _period_of_stamps(feedback, recording.notes)
+    by_stamps = _period_of_stamps(feedback, recording.notes)
     if not 0.0 < recording.T_s < 1.0:
-        recording.T_s = told or 0.0
-    elif told is not None and abs(told - recording.T_s) > _PERIOD_TOLERANCE * recording.T_s:
+        recording.T_s = by_stamps or 0.0
+    elif (
+        by_stamps is not None and abs(by_stamps - recording.T_s) > _PERIOD_TOLERANCE * recording.T_s
+    ):
         recording.notes.append(
             warning(
                 f"the configuration says a PWM period of {recording.T_s * 1e6:g} us, and the time "
-                f"stamps say {told * 1e6:g} us; all times and frequencies are by the configuration"
+                f"stamps say {by_stamps * 1e6:g} us; all times and frequencies are by the "
+                "configuration"
             )
         )
     if not 0.0 < recording.T_s < 1.0:
@@ -334,19 +339,19 @@ def _period_of_stamps(feedback: NDArray[Any], notes: list[Note]) -> float | None
     """PWM period by the time stamps (s), None where they do not tell."""
     time, period = stamps.nanoseconds(feedback["stamp"]), feedback["period"].astype(np.int64)
     try:
-        told = 1.0 / stamps.frequency(int(time[0]), int(time[-1]), int(period[-1] - period[0]))
+        mean = 1.0 / stamps.frequency(int(time[0]), int(time[-1]), int(period[-1] - period[0]))
     except ValueError:
         return None
     # A single stamp that is wrong, at the begin or the end, must not make all times wrong.
     # Over half of the recording, so that a coarse clock does not matter.
     half = len(time) // 2
     usual = 1e-9 * float(np.median((time[half:] - time[:-half]) / (period[half:] - period[:-half])))
-    if abs(told - usual) <= _PERIOD_TOLERANCE * usual:
-        return told
+    if abs(mean - usual) <= _PERIOD_TOLERANCE * usual:
+        return mean
     notes.append(
         warning(
             f"the time stamps of phase_feedback are uneven: {usual * 1e6:g} us per period as "
-            f"a rule, {told * 1e6:g} us from the first to the last"
+            f"a rule, {mean * 1e6:g} us from the first to the last"
         )
     )
     return usual

@@ -301,8 +301,8 @@ class _Copy:
             statistics = summary.statistics if summary is not None else None
         except (BagError, McapError, KeyError) as error:
             raise BagError(f"{self.source}: the repaired copy cannot be read: {error}") from None
-        told = statistics.message_count if statistics is not None else -1
-        if (counts, checksums, told) != (expected, self._checksums, sum(expected.values())):
+        stated = statistics.message_count if statistics is not None else -1
+        if (counts, checksums, stated) != (expected, self._checksums, sum(expected.values())):
             raise BagError(f"{self.source}: the repaired copy does not hold what was copied")
 
 

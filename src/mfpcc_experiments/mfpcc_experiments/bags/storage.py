@@ -60,7 +60,7 @@ class Counts:
     """Messages of a file: how many there are by topic, and how many its own summary tells of."""
 
     found: dict[str, int]
-    told: int | None
+    stated: int | None
 
 
 def contents(
@@ -248,11 +248,11 @@ def _sqlite_contents(
     for number, topic in topics.items():
         if topic.name in counter.found and wanted(topic):
             yield from _sqlite_topic(base, file, number, topic)
-    told = None
+    stated = None
     if "metadata" in tables:  # written when the bag was closed
         with suppress(sqlite3.Error):
-            told = _told(base)
-    yield Counts(counter.found, told)
+            stated = _stated(base)
+    yield Counts(counter.found, stated)
 
 
 def _sqlite_topic(
@@ -270,7 +270,7 @@ def _sqlite_topic(
         yield Batch(topic, plain_messages(list(messages), file), np.array(times, np.int64))
 
 
-def _told(base: sqlite3.Connection) -> int | None:
+def _stated(base: sqlite3.Connection) -> int | None:
     """Messages that the database's own metadata tell of, over all parts; None without."""
     import yaml
 

@@ -165,7 +165,7 @@ class BagWriter:
         self._shifts = [0]  # of the runs of a drive
         self._closed = False
         self._error: OSError | None = None
-        self._told = False
+        self._reported = False
         try:
             self._sink = McapSink(self.path / f"{self.path.resolve().name}_0.mcap")
             self._sink.metadata(CONFIG_RECORD, content)
@@ -259,7 +259,7 @@ class BagWriter:
             raise BagError(
                 f"{self.path}: {error.strerror}; the bag could not be finished"
             ) from None
-        if (self._error is not None or taken) and not self._told:
+        if (self._error is not None or taken) and not self._reported:
             raise BagError(self._reason() if self._error else self._reason_at_the_end())
 
     def __enter__(self) -> BagWriter:
@@ -272,7 +272,7 @@ class BagWriter:
         trace: TracebackType | None,
     ) -> None:
         # An exception is on its way: what was recorded until then is still worth a valid bag.
-        self._told = self._told or kind is not None
+        self._reported = self._reported or kind is not None
         self.close({"incomplete": f"{kind.__name__}: {error}"} if kind else None)
 
     # -- inside --
@@ -339,7 +339,7 @@ class BagWriter:
         self._queue.put((self._buffer, index))
         self._buffer = bytearray()
         if self._error is not None and not self._closed:
-            self._told = True
+            self._reported = True
             raise BagError(self._reason())
 
     def _write_chunks(self) -> None:

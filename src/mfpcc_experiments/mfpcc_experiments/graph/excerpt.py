@@ -71,10 +71,10 @@ def in_order(
         for data in messages:
             yield stamps.at(*loop_messages.stamp(data)), _ORDER.index(topic), topic, data
 
-    told = [
+    earlier = [
         (max(stamp, begin_ns), rank, topic, data)
         for stamp, rank, topic, data in stamped(STATUS, statuses)
         if stamp <= end_ns
     ]
     streams = [stamped(topic, excerpt.messages) for topic, excerpt in excerpts.items()]
-    return heapq.merge(*streams, sorted(told, key=lambda each: each[0]))
+    return heapq.merge(*streams, sorted(earlier, key=lambda each: each[0]))

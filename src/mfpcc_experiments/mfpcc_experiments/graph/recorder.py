@@ -225,8 +225,8 @@ class Recorder(Node):
 
     def _on_status(self, message: DriveStatus) -> None:
         """Keep the faults that are new: those of before this recorder too, if they last."""
-        told = [(fault.code, int(fault.period), fault.detail) for fault in message.faults]
-        self.latched += [f for f in latched(message.node, told) if f not in self.latched]
+        reported = [(fault.code, int(fault.period), fault.detail) for fault in message.faults]
+        self.latched += [f for f in latched(message.node, reported) if f not in self.latched]
 
     def _on_event(self, event: ParameterEvent, sent_at: int) -> None:
         namespace, _, name = event.node.rpartition("/")

@@ -94,6 +94,6 @@ class RunContent(Content):
 
     def step_time(self, name: str) -> float | None:
         """Computing time of a step (us), as the controller summed it up."""
-        told = self.recording.summary.get("step_time_us") or {}
-        found: float | None = told.get(name)
+        measured = self.recording.summary.get("step_time_us") or {}
+        found: float | None = measured.get(name)
         return found

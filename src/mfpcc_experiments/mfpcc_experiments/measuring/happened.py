@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _TABLES = {"pmsm_sim": PLANT, "mfpcc_controller": CONTROLLER}
 
 #: Events of one kind that are told one by one; of more, their number.
-_TOLD = 3
+_SHOWN = 3
 # A fault switches the gates off with the command after its sample, at the latest.
 _REACTION = 2
 # Periods within which the change of a parameter in another process is dated.
@@ -260,11 +260,11 @@ class History:
 
 def _few(notes: Sequence[Note], more: str) -> list[Note]:
     """The first notes of a kind, and how many more there are: as severe as the worst of them."""
-    told, left = list(notes[:_TOLD]), list(notes[_TOLD:])
+    shown, left = list(notes[:_SHOWN]), list(notes[_SHOWN:])
     if left:
         worst = max(left, key=lambda note: ("info", "warning", "failure").index(note.severity))
-        told.append(Note(worst.severity, f"{len(left)} {more}"))
-    return told
+        shown.append(Note(worst.severity, f"{len(left)} {more}"))
+    return shown
 
 
 # --- From the messages -------------------------------------------------------------------------

@@ -375,8 +375,8 @@ def _changes(config: Mapping[str, Any]) -> list[Note]:
     changes = scenario.get("changes") if isinstance(scenario, dict) else None
     if not isinstance(changes, dict) or not changes:
         return []
-    told = ", ".join(f"{name} = {value}" for name, value in changes.items())
-    return [info(f"not as the experiment says: {told}")]
+    listed = ", ".join(f"{name} = {value}" for name, value in changes.items())
+    return [info(f"not as the experiment says: {listed}")]
 
 
 def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> dict[str, Any]:

@@ -87,11 +87,11 @@ def _diagnostics(field: str, axis: int) -> Callable[[Recording], Values | None]:
 
 def _current(axis: int) -> Callable[[Recording], Values | None]:
     """The measured current, which follows from the samples where no diagnostics were recorded."""
-    told = _diagnostics("i_dq", axis)
+    recorded = _diagnostics("i_dq", axis)
 
     def values(r: Recording) -> Values | None:
         if len(r.lut) or not r.n_p:
-            return told(r)
+            return recorded(r)
         i_dq = to_dq(phase_currents(r.feedback), r.n_p * r.feedback["encoder_angle"])
         return r.feedback["period"], i_dq.imag if axis else i_dq.real
 

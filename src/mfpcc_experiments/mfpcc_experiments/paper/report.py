@@ -28,7 +28,7 @@ _COLOURS = {CONFIRMED: 0, DIFFERS: 1, BY_CHANCE: 1}
 
 def render(
     results: Results,
-    said: Sequence[Statement],
+    judged: Sequence[Statement],
     figures: Sequence[tuple[str, Path, str]],
     *,
     engine: str,
@@ -40,7 +40,7 @@ def render(
     ----------
     results : Results
         The runs.
-    said : sequence of Statement
+    judged : sequence of Statement
         What the paper says of them.
     figures : sequence of (str, Path, str)
         From `figures.draw`.
@@ -52,15 +52,15 @@ def render(
     str
         A complete HTML page.
     """
-    groups = _grouped(said)
+    groups = _grouped(judged)
     parts = ", ".join(title for title, _ in groups)
     return html.page(
         "reproduce.html",
         subtitle=f"{parts} · engine {engine} · {_seeds(results)}",
         note=FITTED,
-        counts=counts(said),
-        said=groups,
-        total=len(said),
+        counts=counts(judged),
+        judged=groups,
+        total=len(judged),
         seeds=len(results.seeds),
         notes=[
             (label, note)
@@ -75,9 +75,9 @@ def render(
     )
 
 
-def counts(said: Sequence[Statement]) -> list[tuple[str, int]]:
+def counts(judged: Sequence[Statement]) -> list[tuple[str, int]]:
     """How many statements have each verdict; that some are not judged is an exception."""
-    found = [(verdict, sum(s.verdict == verdict for s in said)) for verdict in VERDICTS]
+    found = [(verdict, sum(s.verdict == verdict for s in judged)) for verdict in VERDICTS]
     return [entry for entry in found if entry[1] or entry[0] != NOT_JUDGED]
 
 
@@ -101,10 +101,10 @@ def _seeds(results: Results) -> str:
     return f"seed {first}" if first == last else f"seeds {first} to {last}"
 
 
-def _grouped(said: Sequence[Statement]) -> list[tuple[str, list[dict[str, Any]]]]:
+def _grouped(judged: Sequence[Statement]) -> list[tuple[str, list[dict[str, Any]]]]:
     """Statements by figure, in the order they come."""
     groups: dict[str, list[dict[str, Any]]] = {}
-    for s in said:
+    for s in judged:
         title = "Computing times" if s.figure == "times" else f"Figure {s.figure}"
         entry = {**asdict(s), "colour": _COLOURS.get(s.verdict, 2), "agreement": agreement(s)}
         groups.setdefault(title, []).append(entry)

@@ -472,12 +472,12 @@ def _computing_times(times: Mapping[str, float]) -> Iterator[Statement]:
     )
 
 
-def to_json(results: Results, said: Sequence[Statement]) -> str:
+def to_json(results: Results, judged: Sequence[Statement]) -> str:
     """What came of it, for programs: the statements, the computing times, and the motor's note."""
     whole: dict[str, Any] = {
         "note": FITTED,
         "seeds": results.seeds,
-        "statements": [asdict(statement) for statement in said],
+        "statements": [asdict(statement) for statement in judged],
         "step_time_us": dict(results.times),
     }
     return json.dumps(whole, indent=2, ensure_ascii=False)

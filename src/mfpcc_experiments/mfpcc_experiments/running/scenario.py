@@ -348,8 +348,8 @@ def _revised(
         found = yaml_files.validated(values, Scenario)
     except yaml_files.FileError as error:
         raise ParameterError(str(error)) from None
-    told = {
+    listed = {
         name: getattr(found, part)[key] if part else getattr(found, key)
         for name, (part, key) in places.items()
     }
-    return found.model_copy(update={"changes": {**scenario.changes, **told}})
+    return found.model_copy(update={"changes": {**scenario.changes, **listed}})

@@ -185,13 +185,13 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _counted(option: str, told: str | None, number: Quantity | None, *, before: str = "") -> str:
+def _counted(option: str, given: str | None, number: Quantity | None, *, before: str = "") -> str:
     """How a constant counts, from an option and from its unit; they must not contradict."""
     from mfpcc_experiments.datasheet import SheetError
 
     by_unit = number.counted if number is not None else None
-    if told is None:
+    if given is None:
         return f"{before}{by_unit or 'rms'}"
-    if by_unit is not None and not told.endswith(by_unit):
-        raise SheetError(f"the unit of {option} says '{by_unit}', its option '{told}'")
-    return told
+    if by_unit is not None and not given.endswith(by_unit):
+        raise SheetError(f"the unit of {option} says '{by_unit}', its option '{given}'")
+    return given

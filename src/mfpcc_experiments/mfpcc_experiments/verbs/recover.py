@@ -15,5 +15,5 @@ def command(bag: Path) -> None:
     from pwm_node import interrupts
 
     with interrupts.undone():
-        said = recover.recover(bag)
-    click.echo(said)
+        report = recover.recover(bag)
+    click.echo(report)

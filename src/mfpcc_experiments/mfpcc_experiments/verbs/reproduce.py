@@ -79,10 +79,10 @@ def command(
         raise click.UsageError(unknown("engine", engine, ENGINES), context)
     wanted = tuple(figure for figure in FIGURES if figure in figures or not figures)
     with result_folder(out, force=force) as folder:
-        said, results = _reproduce(
+        judged, results = _reproduce(
             wanted, engine, range(seed, seed + seeds), folder, timed=not figures
         )
-    _show(said, results)
+    _show(judged, results)
     click.echo(f"report: {out / 'report.html'}")
     context.exit(notes.exit_code([run.row for run in results.runs], strict=True))
 
@@ -125,21 +125,21 @@ def _reproduce(
             bag = folder / "steady_750_2" / "mls_mfpcc"
             times = runs.step_times(bag, begin("times", 1.0))
         results = runs.Results(measured, shown, times)
-        said = statements.statements(results, figures)
+        judged = statements.statements(results, figures)
         tell = begin("figures", len(figures))
         (folder / "figures").mkdir()
         drawn = []
         for entry in paper_figures.draw(results, figures, folder / "figures"):
             drawn.append(entry)
             tell(figures.index(entry[0]) + 1)
-        write_whole(folder / "report.html", report.render(results, said, drawn, engine=engine))
-        write_whole(folder / "statements.json", statements.to_json(results, said) + "\n")
+        write_whole(folder / "report.html", report.render(results, judged, drawn, engine=engine))
+        write_whole(folder / "statements.json", statements.to_json(results, judged) + "\n")
         rows = [{**each.row, "of_paper": each.more} for each in measured]
         write_rows(folder, rows)
-    return said, results
+    return judged, results
 
 
-def _show(said: Sequence[Statement], results: Results) -> None:
+def _show(judged: Sequence[Statement], results: Results) -> None:
     """Print the statements, how many are confirmed, and what went wrong."""
     from rich.console import Console
     from rich.table import Table
@@ -156,14 +156,14 @@ def _show(said: Sequence[Statement], results: Results) -> None:
     table.add_column("published", ratio=2)
     table.add_column("ours", ratio=3)
     table.add_column("", width=17)
-    for s in said:
+    for s in judged:
         verdict = f"[{colours.get(s.verdict, 'red')}]{s.verdict}[/]"
         if agreement(s):
             verdict += f"\n[dim]{agreement(s)}[/]"
         table.add_row(s.figure, s.says, s.published, s.ours, verdict)
     console = Console(highlight=False)
     console.print(table)
-    click.echo(", ".join(f"{verdict} {count}" for verdict, count in counts(said)))
+    click.echo(", ".join(f"{verdict} {count}" for verdict, count in counts(judged)))
     click.echo(
         f"over {len(results.seeds)} seed{'s' if len(results.seeds) > 1 else ''} of the noise"
     )

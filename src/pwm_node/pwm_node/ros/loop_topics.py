@@ -165,14 +165,14 @@ class LoopPublisher:
     def _publish_patiently(self, data: bytes, error: Exception) -> None:
         """Publish where it just failed since somebody takes nothing; each attempt lasts 0.1 s."""
         began = time.monotonic()
-        told = False
+        reported = False
         while self._node.context.ok() and not self._stopping():
             try:
                 self._publish_raw(data)
             except rclpy_implementation.RCLError as again:
                 error = again
             else:
-                if told:
+                if reported:
                     self._node.get_logger().info(f"{self.topic}: goes on")
                 return
             waited = time.monotonic() - began
@@ -181,8 +181,8 @@ class LoopPublisher:
                     f"{self.topic}: a subscriber has taken nothing for {waited:.0f} s; stop it "
                     f"(see 'ros2 topic info -v {self.topic}')"
                 ) from error
-            if waited > 1.0 and not told:
-                told = True
+            if waited > 1.0 and not reported:
+                reported = True
                 self._node.get_logger().warning(
                     f"{self.topic}: a subscriber takes no more messages; waiting for it, since "
                     "nothing may be lost (one that was killed is given up after 20 s)"

@@ -117,9 +117,9 @@ class PwmNode(TableNode):
         self._progress_at = time.monotonic()
         self._next_stall = _STALL_STEP
         self._reported: LoopSubscription | None = None
-        self._told_at = self._progress_at
-        self._told_period = self.period
-        self._told_faults = 0
+        self._diagnosed_at = self._progress_at
+        self._diagnosed_period = self.period
+        self._diagnosed_faults = 0
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(_WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -307,8 +307,8 @@ class PwmNode(TableNode):
             if stalled >= self._next_stall or any(p.new_listener for p in self.loop_publishers):
                 self._next_stall = stalled + _STALL_STEP
                 self.on_stall(stalled)
-        if now - self._told_at >= 1.0:
-            guard.callback(self._tell, "/diagnostics", self.get_logger())(now)
+        if now - self._diagnosed_at >= 1.0:
+            guard.callback(self._publish_diagnostics, "/diagnostics", self.get_logger())(now)
 
     def _silence(self, awaited: LoopSubscription, seconds: float) -> str:
         if self.count_publishers(awaited.topic):
@@ -324,9 +324,9 @@ class PwmNode(TableNode):
         """Return what else there is to tell on ``/diagnostics``; called once a second."""
         return ()
 
-    def _tell(self, now: float) -> None:
-        rate = (self.period - self._told_period) / (now - self._told_at)
-        self._told_at, self._told_period = now, self.period
+    def _publish_diagnostics(self, now: float) -> None:
+        rate = (self.period - self._diagnosed_period) / (now - self._diagnosed_at)
+        self._diagnosed_at, self._diagnosed_period = now, self.period
         message = DiagnosticArray()
         message.header.stamp = self.get_clock().now().to_msg()
         name = self.get_fully_qualified_name().lstrip("/")
@@ -345,7 +345,7 @@ class PwmNode(TableNode):
     def _loop_part(self, rate: float) -> Part:
         median, p99, longest = self.step_times.percentiles(50, 99, 100)
         faults = self.missed_periods + self.lost_periods
-        new_faults, self._told_faults = faults - self._told_faults, faults
+        new_faults, self._diagnosed_faults = faults - self._diagnosed_faults, faults
         level, text = Level.OK, "running"
         if not self.active:
             text = "inactive"

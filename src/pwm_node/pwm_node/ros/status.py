@@ -30,7 +30,7 @@ class StatusPublisher:
         self._node = node
         self._status, self._fault = status, fault
         self._publisher = node.create_publisher(status, "drive_status", STATUS_QOS)
-        self._told: tuple[Any, ...] = ()
+        self._published: tuple[Any, ...] = ()
 
     def tell(
         self,
@@ -66,9 +66,9 @@ class StatusPublisher:
             Whether it was published.
         """
         now = (state, enabled, scheme, faults)
-        if now == self._told:
+        if now == self._published:
             return False
-        self._told = now
+        self._published = now
         status = self._status(
             period=max(period, 0),
             node=self._node.get_name(),
