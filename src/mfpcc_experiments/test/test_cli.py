@@ -40,8 +40,9 @@ class Fake:
         progress: Callable[[float], None],
         *,
         separate: bool = False,
+        name: str | None = None,
     ) -> None:
-        bag = out_dir / scheme
+        bag = out_dir / (name or scheme)
         bag.mkdir()
         (bag / f"{scheme}_0.mcap").write_bytes(bytes(100_000))
         progress(scenario.periods / 2)

@@ -13,8 +13,10 @@ import pytest
 from harness import PATIENCE
 
 from mfpcc_experiments.bags import BagError, recording
-from mfpcc_experiments.measuring import happened, measured, signals, window
+from mfpcc_experiments.measuring import METRICS, evaluate, happened, measured, signals, window
+from mfpcc_experiments.paper import runs
 from mfpcc_experiments.reporting import compare, figures, report, table, traces
+from mfpcc_experiments.running import scenario
 
 CONTRACT = {
     "experiment": None,
@@ -213,7 +215,8 @@ def test_the_table_in_the_terminal(compared, capsys):
 def test_a_table_too_wide_for_the_terminal_goes_on_below(compared, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     schemes = ["mbpcc", "mbpcc_single_vector", "neso_mfpcc", "mfpcc_two_vector", "mls_mfpcc"]
-    table.print_table([{**compared[1][0], "scheme": scheme} for scheme in schemes])
+    rows = [{**compared[1][0], "scheme": s, "setup": n} for n, s in enumerate(schemes)]
+    table.print_table(rows)
     text = capsys.readouterr().out
     shown = text[: text.index("info:")]  # a note stays on its line
     assert max(len(line.rstrip()) for line in shown.splitlines()) <= 80
@@ -241,23 +244,83 @@ def test_labels_tell_recordings_apart():
 
     assert names(row(), row(scheme="mls_mfpcc")) == ["MFPCC", "MLS-MFPCC"]
     assert names(row(), row(experiment="b")) == ["MFPCC, a", "MFPCC, b"]
-    assert names(row(), row(seed=3)) == ["MFPCC, 0", "MFPCC, 3"]
+    assert names(row(), row(seed=3)) == ["MFPCC, seed 0", "MFPCC, seed 3"]
     assert names(row(), row()) == ["MFPCC, x", "MFPCC, y"]
     assert names(row(), row(), paths=("x", "x")) == ["MFPCC, x (1)", "MFPCC, x (2)"]
 
 
 def test_only_differences_beyond_chance_are_marked():
-    def row(mean, std, parts=10):
-        return {"scatter": {"parts": parts, "mean": {"a.b": mean}, "std": {"a.b": std}}}
+    low, high = [1.0, 1.1, 0.9, 1.05, 0.95], [1.5, 1.6, 1.4, 1.55, 1.45]
+    alike = [v + 0.02 for v in low]
+    assert table.best([low, alike]) == [False, False]
+    assert table.best([high, low]) == [False, True]
+    assert table.best([alike, high, low]) == [True, False, True]
+    assert table.best([[0, 0], [3, 3]]) == [True, False]  # the noise does not matter
+    # a single run has no scatter, however far it is away; nor has one of which figures are missing
+    assert table.best([[1.0], [9.0]]) == [False, False]
+    assert table.best([[0.1], low, high]) == [False, True, False]
+    assert table.best([low, [*high[:4], None]]) == [False, False]
+    assert table.best([low, [None]]) == [False, False]
 
-    none = {"scatter": {"parts": 0, "mean": {}, "std": {}}}
-    assert table.best([row(1.0, 0.1), row(1.05, 0.1)], ("a", "b")) == [False, False]
-    assert table.best([row(1.0, 0.1), row(1.5, 0.1)], ("a", "b")) == [True, False]
-    assert table.best([row(1.02, 0.1), row(3.0, 0.1), row(1.0, 0.1)], ("a", "b")) == [
-        True, False, True
-    ]  # fmt: skip
-    assert table.best([row(1.0, 0.0), row(2.0, 0.0), none], ("a", "b")) == [True, False, False]
-    assert table.best([row(1.0, 0.1), none], ("a", "b")) == [False, False]
+
+METRIC_PATHS = [m.path for m in METRICS if m.in_table and m.less_is_better]
+
+
+@pytest.fixture(scope="module")
+def seeds():
+    """Figures of 80 seeds of a scheme that falls into limit cycles, one row per figure."""
+    wanted = scenario.load("steady_750_2")
+    wanted = wanted.model_copy(update={"duration": 0.2, "window_s": (0.1, 0.2)})
+    rows = [evaluate(runs.simulate(wanted, "mfpcc", seed)) for seed in range(80)]
+    values = np.array([[table.value(row, path) for row in rows] for path in METRIC_PATHS], float)
+    return values[np.isfinite(values).all(axis=1)]
+
+
+def test_runs_that_differ_by_chance_alone_are_hardly_ever_marked(seeds):
+    """250 pairs of five seeds of one scheme: of each figure 1 % may be marked, nominally."""
+    rng = np.random.default_rng(5)
+    assert len(seeds) > 8
+    marked = np.zeros((len(seeds), 250))
+    for n in range(250):
+        pick = rng.permutation(seeds.shape[1])[:10]
+        for k, figure in enumerate(seeds[:, pick]):
+            marked[k, n] = any(table.best([figure[:5].tolist(), figure[5:].tolist()]))
+    assert marked.mean() < 0.015  # over all figures
+    assert marked.mean(axis=1).max() <= 0.036  # four standard deviations of 250 at 1 %
+
+
+def test_chance_has_the_nominal_rate_and_true_differences_are_found():
+    rng = np.random.default_rng(3)
+    values = rng.normal(1.0, 0.05, (1000, 3, 6))
+    rate = np.mean([any(table.best(each.tolist())) for each in values])
+    assert 0.001 < rate <= 0.01 + 3 * (0.01 * 0.99 / 1000) ** 0.5
+    values[:, 1] *= 0.8
+    found = [table.best(each.tolist()) == [False, True, False] for each in values[:100]]
+    assert np.mean(found) > 0.7
+
+
+def test_seeds_of_one_setup_are_one_column(make_bag, tmp_path):
+    """In a folder of results, with one configuration but for the seed."""
+
+    def bag(name, seed, **changes):
+        parameters = {"pmsm_sim": {"seed": seed, **changes}}
+        return make_bag(name, 3500, config=config(seed=seed, parameters=parameters))
+
+    paths = [bag("a/0", 0), bag("a/1", 1), bag("a/again", 1), bag("a/x", 2, load_torque=3.0)]
+    paths += [bag("b/2", 2)]
+    rows = compare.compare(paths, tmp_path / "out")
+    assert [row["setup"] for row in rows] == [0, 0, 1, 2, 3]
+    assert table.titles(rows)[0] == "X -> MLS-MFPCC, 1 (2 seeds)"
+    for line in table.lines(rows):
+        assert len(line.cells) == 4 and line.best == [False] * 4
+    thd = next(line for line in table.lines(rows) if line.metric.key == "thd_percent.control")
+    assert re.fullmatch(r"[\d.]+ ± 0\.0+", thd.cells[0]) and "±" not in thd.cells[1]
+    rows[1]["thd_percent"]["control"] = None
+    thd = next(line for line in table.lines(rows) if line.metric.key == "thd_percent.control")
+    assert thd.cells[0] == "1 of 2 seeds"
+    page = Page((tmp_path / "out" / "report.html").read_text(encoding="utf-8")).text
+    assert "no best is marked" in table.legend(rows) and "No best is marked" in page
+    assert "first seed of each" in page
 
 
 def test_traces_hold_the_signal_to_a_screens_resolution():

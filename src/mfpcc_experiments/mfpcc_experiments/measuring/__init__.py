@@ -17,7 +17,7 @@ from mfpcc_experiments.front_door import front_door
 
 if TYPE_CHECKING:
     from mfpcc_experiments.measuring.happened import History, latched, rows_of, scheme_title
-    from mfpcc_experiments.measuring.measured import Measured, labels
+    from mfpcc_experiments.measuring.measured import Measured, labels, shown
     from mfpcc_experiments.measuring.metrics import METRICS, Metric, evaluate, of_the_run
     from mfpcc_experiments.measuring.replay import Replay, Samples
     from mfpcc_experiments.measuring.signals import QUANTITIES, Quantity, Signal
@@ -43,13 +43,14 @@ __all__ = [
     "of_the_run",
     "rows_of",
     "scheme_title",
+    "shown",
 ]
 
 __getattr__ = front_door(
     __name__,
     {
         "happened": ("History", "latched", "rows_of", "scheme_title"),
-        "measured": ("Measured", "labels"),
+        "measured": ("Measured", "labels", "shown"),
         "metrics": ("METRICS", "Metric", "evaluate", "of_the_run"),
         "replay": ("Replay", "Samples"),
         "signals": ("QUANTITIES", "Quantity", "Signal"),

@@ -60,9 +60,21 @@ def labels(rows: Sequence[dict[str, Any]], paths: Sequence[Path]) -> list[str]:
         if len(set(names)) == len(names):
             return names
         if len({str(row[key]) for row in rows}) > 1:
-            names = [f"{name}, {row[key]}" for name, row in zip(names, rows, strict=True)]
+            word = "seed " if key == "seed" else ""
+            names = [
+                name if row[key] is None else f"{name}, {word}{row[key]}"
+                for name, row in zip(names, rows, strict=True)
+            ]
     if len(set(names)) < len(names):
         names = [f"{n}, {p.resolve().name}" for n, p in zip(names, paths, strict=True)]
     if len(set(names)) < len(names):
         names = [f"{n} ({k})" for k, n in enumerate(names, 1)]
     return names
+
+
+def shown(runs: Sequence[Measured]) -> list[Measured]:
+    """Of recordings that differ in their seed alone the first, which figures and traces show."""
+    first: dict[Any, Measured] = {}
+    for run in runs:
+        first.setdefault(run.row["setup"], run)
+    return list(first.values())

@@ -330,8 +330,9 @@ def scatter(w: Window, kept: Sequence[str] | None = None) -> dict[str, Any]:
     """
     Mean and standard deviation of each figure over the parts of a window.
 
-    They say whether two recordings differ by more than chance. The peak-to-peak and largest values
-    of a part are smaller than those of the whole window; compare parts with parts.
+    They say how much a figure moves within a run, not whether two runs differ by more than chance:
+    runs of two seeds differ by more than their parts do. The peak-to-peak and largest values of a
+    part are smaller than those of the whole window.
 
     Parameters
     ----------

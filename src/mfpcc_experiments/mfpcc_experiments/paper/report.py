@@ -112,17 +112,17 @@ def _grouped(judged: Sequence[Statement]) -> list[tuple[str, list[dict[str, Any]
 
 
 def _tables(results: Results) -> list[tuple[str, str, list[Line], list[str]]]:
-    """One table of metrics per experiment, one column per scheme."""
+    """One table of metrics per experiment, one column per scheme, over all seeds."""
     tables = []
     for experiment in dict.fromkeys(run.experiment for run in results.recorded):
-        runs = [run for run in results.recorded if run.experiment == experiment]
+        runs = [run for run in results.runs if run.experiment == experiment]
+        rows = [{**run.row, "setup": run.scheme} for run in runs]
         # the time of a step is measured apart
-        table = [
-            line for line in lines([r.row for r in runs]) if line.metric.path[0] != "step_time_us"
-        ]
+        table = [line for line in lines(rows) if line.metric.path[0] != "step_time_us"]
         begin, end = runs[0].row["window_s"]
         description = f"{scenario.load(experiment).description}. From {begin:g} to {end:g} s."
-        tables.append((experiment, description, table, [scheme_title(run.scheme) for run in runs]))
+        schemes = dict.fromkeys(scheme_title(run.scheme) for run in runs)
+        tables.append((experiment, description, table, list(schemes)))
     return tables
 
 
@@ -162,8 +162,8 @@ def _made(results: Results, engine: str) -> str:
     )
     return (
         f"{len(recorded)} recorded runs of seed {results.seeds[0]}, {periods} periods of the PWM, "
-        f"{lost} of them lost; engine '{engine}': {how}. The figures and the tables of numbers are "
-        f"of these.{also} The recordings lie beside this page, one folder per experiment: "
-        "'mfpcc compare' and 'mfpcc replay' take them. Current sensors with 20 mA rms of noise on "
-        "i_d and i_q, ideal encoder and inverter: the paper's are not known."
+        f"{lost} of them lost; engine '{engine}': {how}. The figures are of these, the tables of "
+        f"numbers of all seeds.{also} The recordings lie beside this page, one folder per "
+        "experiment: 'mfpcc compare' and 'mfpcc replay' take them. Current sensors with 20 mA rms "
+        "of noise on i_d and i_q, ideal encoder and inverter: the paper's are not known."
     )

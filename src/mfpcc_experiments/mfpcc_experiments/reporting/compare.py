@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from mfpcc_experiments.bags import BagError, recording
 from mfpcc_experiments.files import write_rows, write_whole
-from mfpcc_experiments.measuring import Measured, cut, evaluate, labels
+from mfpcc_experiments.measuring import Measured, cut, evaluate, labels, shown
 from mfpcc_experiments.measuring.signals import signals
 
 Progress = Callable[[float], None]
@@ -62,7 +63,7 @@ def compare(
     rows = [run.row for run in runs]
     out = Path(out)
     (out / "figures").mkdir(parents=True, exist_ok=True)
-    drawn = figures.draw(runs, out / "figures")
+    drawn = figures.draw(shown(runs), out / "figures")
     tell(_DRAWING)
     write_whole(out / "report.html", report.render(runs, drawn))
     write_rows(out, rows)
@@ -101,10 +102,61 @@ def measure(
 
         parts.append(_measure_one(Path(path), tell, window_s))
     names = labels([part["row"] for part in parts], [Path(path) for path in paths])
+    numbers = setups(
+        [Path(path) for path in paths],
+        [part["row"] for part in parts],
+        [part["config"] for part in parts],
+    )
+    for part, number in zip(parts, numbers, strict=True):
+        part["row"]["setup"] = number
     return [
         Measured(path=Path(path), label=name, **part)
         for path, name, part in zip(paths, names, parts, strict=True)
     ]
+
+
+def setups(
+    paths: Sequence[Path], rows: Sequence[Mapping[str, Any]], configs: Sequence[Mapping[str, Any]]
+) -> list[int]:
+    """
+    Number of the setup of each recording, the same for those that differ in their seed alone.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Recordings. Those in other folders are other results: they may be of other code.
+    rows : sequence of mapping
+        Their objects of ``metrics.json``. Where another scheme controlled it is another setup.
+    configs : sequence of mapping
+        Their configurations. One without a seed, or with a seed that is there already, is a setup
+        of its own: it is no second opinion.
+    """
+    numbers: dict[Any, int] = {}
+    seen: set[tuple[int, str]] = set()
+    found = []
+    for n, (path, row, config) in enumerate(zip(paths, rows, configs, strict=True)):
+        seed = json.dumps(config.get("seed"))
+        others = json.dumps(_without_seed(config), sort_keys=True)
+        number = numbers.setdefault((path.resolve().parent, row["scheme"], others), n)
+        if config.get("seed") is None or (number, seed) in seen:
+            number = n
+        seen.add((number, seed))
+        found.append(number)
+    order = {number: k for k, number in enumerate(dict.fromkeys(found))}
+    return [order[number] for number in found]
+
+
+def _without_seed(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration less the seed, which stands in the parameters of the nodes, too."""
+    parameters = config.get("parameters")
+    if isinstance(parameters, dict):
+        parameters = {
+            node: {name: v for name, v in values.items() if name != "seed"}
+            if isinstance(values, dict)
+            else values
+            for node, values in parameters.items()
+        }
+    return {k: v for k, v in config.items() if k != "seed"} | {"parameters": parameters}
 
 
 def _measure_one(

@@ -13,10 +13,10 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mfpcc_experiments.measuring import Measured
+from mfpcc_experiments.measuring import Measured, shown
 from mfpcc_experiments.reporting import html
 from mfpcc_experiments.reporting.style import COLOURS, mark
-from mfpcc_experiments.reporting.table import lines
+from mfpcc_experiments.reporting.table import legend, lines, titles
 from mfpcc_experiments.reporting.traces import traces
 
 _CAPTIONS = {
@@ -48,13 +48,18 @@ def render(runs: Sequence[Measured], figures: Mapping[str, Path]) -> str:
     str
         A complete HTML page.
     """
+    rows = [run.row for run in runs]
+    first = shown(runs)
     return html.page(
         "report.html",
         title=_title(runs),
         subtitle=_subtitle(runs),
         runs=runs,
-        keys=[(n % len(COLOURS), mark(n)) for n in range(len(runs))],
-        table=lines([run.row for run in runs]),
+        columns=titles(rows),
+        legend=legend(rows),
+        seeds=len(first) < len(runs),
+        keys=[(n % len(COLOURS), mark(n)) for n in range(len(first))],
+        table=lines(rows),
         notes=[(run.label, note) for run in runs for note in run.row["notes"]],
         sources=_sources(runs),
         figures=[(name, _CAPTIONS[name], html.embedded(path)) for name, path in figures.items()],
@@ -63,7 +68,7 @@ def render(runs: Sequence[Measured], figures: Mapping[str, Path]) -> str:
             for run in runs
             if run.config
         ],
-        traces=traces(runs),
+        traces=traces(first),
         program=html.source("viewer.js"),
     )
 

@@ -1,6 +1,9 @@
 """
 The table of a comparison: which figures, how they are printed, and which of them are best.
 
+A column is of one recording, or of several that differ in the seed of the noise alone: then of
+their mean and standard deviation. Only such columns can be said to differ beyond chance.
+
 Terminal, report and `mfpcc reproduce` show the same lines, made here from the entries of
 `metrics.METRICS`.
 """
@@ -8,6 +11,7 @@ Terminal, report and `mfpcc reproduce` show the same lines, made here from the e
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +37,7 @@ class Line:
     metric : Metric
         Whose figures these are.
     cells : list of str
-        The figure of each recording.
+        The figure of each column.
     best : list of bool
         Whether it is among the best, beyond chance.
     explained : str
@@ -56,6 +60,32 @@ class Line:
         return self.metric.shown_unit or self.metric.unit
 
 
+def columns(rows: Sequence[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """
+    Rows that make up one column: those with the same `setup`, in the order of the first of them.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        Objects of ``metrics.json``. One without `setup` is a column of its own.
+    """
+    found: dict[Any, list[dict[str, Any]]] = {}
+    for n, row in enumerate(rows):
+        found.setdefault(row.get("setup", f"row {n}"), []).append(row)
+    return list(found.values())
+
+
+def titles(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """What stands above the columns."""
+    groups = columns(rows)
+    firsts = [group[0] if len(group) == 1 else {**group[0], "seed": None} for group in groups]
+    names = labels(firsts, [Path(str(n)) for n in range(1, len(groups) + 1)])
+    return [
+        name if len(group) == 1 else f"{name} ({len(group)} seeds)"
+        for name, group in zip(names, groups, strict=True)
+    ]
+
+
 def lines(rows: Sequence[dict[str, Any]]) -> list[Line]:
     """
     Make the lines of a table; a figure that no recording has is left out.
@@ -65,63 +95,114 @@ def lines(rows: Sequence[dict[str, Any]]) -> list[Line]:
     rows : sequence of dict
         Objects of ``metrics.json``.
     """
+    groups = columns(rows)
     found: list[Line] = []
     for metric in METRICS:
         if not metric.in_table:
             continue
-        cells = texts([value(row, metric.path) for row in rows], metric.factor)
-        if all(cell == NONE for cell in cells):
+        values = [[value(row, metric.path) for row in group] for group in groups]
+        if all(v is None for each in values for v in each):
             continue
-        marks = best(rows, metric.path) if metric.less_is_better else [False] * len(rows)
+        marks = best(values) if metric.less_is_better else [False] * len(groups)
         prediction = metric.key.startswith("lut_error")
         first = prediction and not any(line.explained for line in found)
+        cells = _cells(values, metric.factor)
         found.append(Line(metric, cells, marks, EXPLAINED if first else ""))
     return found
 
 
-def best(rows: Sequence[dict[str, Any]], key: Sequence[str]) -> list[bool]:
-    """
-    Which recordings are best in a figure of which less is better, beyond chance.
+def _cells(values: Sequence[Sequence[float | None]], factor: float) -> list[str]:
+    """The figure of each column: one value, or mean and standard deviation."""
+    means: list[float | None] = []
+    for each in values:
+        known = [v for v in each if v is not None]
+        if len(known) < len(each):
+            means.append(None)
+        else:  # a count that is the same in all stays one
+            means.append(known[0] if min(known) == max(known) else statistics.fmean(known))
+    cells = texts(means, factor)
+    for n, each in enumerate(values):
+        known = [v for v in each if v is not None]
+        if means[n] is None and known:
+            cells[n] = f"{len(known)} of {len(each)} seeds"
+        elif len(known) > 1 and not isinstance(means[n], int):
+            decimals = len(cells[n].partition(".")[2])
+            cells[n] += f" ± {factor * statistics.stdev(known):.{decimals}f}"
+    return cells
 
-    The parts of the windows (`metrics.scatter`) are compared by Welch's test: a recording is among
-    the best unless it is worse than the lowest with a probability of error below 1 %. Where that
-    leaves all of them, none is marked.
+
+#: Probability that a figure of columns that differ by nothing but chance gets a mark.
+LEVEL = 0.01
+
+
+def can_be_told(rows: Sequence[dict[str, Any]]) -> bool:
+    """Whether at least two columns have several seeds, so that a mark is possible at all."""
+    return sum(len(group) > 1 for group in columns(rows)) > 1
+
+
+def legend(rows: Sequence[dict[str, Any]]) -> str:
+    """What the marks of a table stand for, or why there are none; nothing of a single column."""
+    if len(columns(rows)) < 2:
+        return ""
+    if can_be_told(rows):
+        return (
+            f"bold: best beyond chance, judged from the seeds (error below {100 * LEVEL:.0f} % for "
+            "each figure); ±: standard deviation over the seeds"
+        )
+    return (
+        "no best is marked: only several seeds of each can tell a difference from chance "
+        "(mfpcc run --seeds 5)"
+    )
+
+
+def best(values: Sequence[Sequence[float | None]]) -> list[bool]:
+    """
+    Which columns are best in a figure of which less is better, beyond chance.
+
+    How much of a difference is chance only the seeds of the noise can tell: figures of parts of
+    one run scatter less than those of two runs, since a limit cycle that a run has fallen into
+    stays. Columns are compared by Welch's test, each with that of the lowest mean. The lowest is
+    marked if at least one other is worse, with a probability of error of `LEVEL` for the whole
+    figure (Bonferroni over all pairs, since which is the lowest is not known before), and with it
+    those of which that cannot be said. A single recording has no scatter: it is neither marked nor
+    compared, and nor is a column of which a recording lacks the figure.
 
     Parameters
     ----------
-    rows : sequence of dict
-        Objects of ``metrics.json``.
-    key : sequence of str
-        Keys of the figure from the outside in.
+    values : sequence of sequence of float or None
+        The figure in the recordings of each column.
 
     Returns
     -------
     list of bool
-        One per row.
+        One per column.
     """
-    from scipy.stats import ttest_ind_from_stats
+    from scipy.stats import ttest_ind
 
-    name = ".".join(key)
-    known = []
-    for row in rows:
-        spread = row["scatter"]
-        mean, std = spread["mean"].get(name), spread["std"].get(name)
-        known.append(None if mean is None else (mean, std, spread["parts"]))
-    if sum(entry is not None for entry in known) < 2:
-        return [False] * len(rows)
-    lowest = min(entry for entry in known if entry is not None)
-    among = []
-    for entry in known:
-        if entry is None:
-            among.append(False)
-        elif entry[0] == lowest[0]:
-            among.append(True)
-        elif entry[1] == 0.0 and lowest[1] == 0.0:
-            among.append(False)
+    samples = {
+        n: [float(v) for v in each if v is not None]
+        for n, each in enumerate(values)
+        if len(each) > 1 and None not in each
+    }
+    marks = [False] * len(values)
+    if len(samples) < 2:
+        return marks
+    lowest = min(samples, key=lambda n: statistics.fmean(samples[n]))
+    level = LEVEL / math.comb(len(samples), 2)
+    among = set()
+    for n, sample in samples.items():
+        if n == lowest:
+            worse = False
+        elif min(sample) == max(sample) and min(samples[lowest]) == max(samples[lowest]):
+            worse = sample[0] > samples[lowest][0]  # the noise does not matter, as to a count
         else:
-            test = ttest_ind_from_stats(*entry, *lowest, equal_var=False, alternative="greater")
-            among.append(bool(test.pvalue >= 0.01))
-    return [False] * len(rows) if all(among) else among
+            worse = bool(ttest_ind(sample, samples[lowest], equal_var=False).pvalue < level)
+        if not worse:
+            among.add(n)
+    if len(among) < len(samples):
+        for n in among:
+            marks[n] = True
+    return marks
 
 
 def value(row: dict[str, Any], key: Sequence[str]) -> Any:
@@ -190,10 +271,12 @@ def print_table(rows: Sequence[dict[str, Any]]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    names = labels(rows, [Path(str(n)) for n in range(1, len(rows) + 1)])
-    shown = lines(rows)
+    names, shown = titles(rows), lines(rows)
+    widths = [
+        max(len(name), *(len(line.cells[n]) for line in shown)) for n, name in enumerate(names)
+    ]
     console = Console(highlight=False)
-    for n, block in enumerate(_side_by_side(names, console.width)):
+    for n, block in enumerate(_side_by_side(widths, console.width)):
         table = Table(box=None, pad_edge=False, header_style="bold")
         table.add_column("")
         for name in names[block]:
@@ -211,21 +294,23 @@ def print_table(rows: Sequence[dict[str, Any]]) -> None:
     for line in shown:
         if line.explained:
             console.print(f"{line.title.split()[0]} error: {line.explained}", style="dim")
-    for text in notes.lines(rows, names):
+    if legend(rows):
+        console.print(legend(rows), style="dim")
+    every = labels(rows, [Path(str(n)) for n in range(1, len(rows) + 1)])
+    for text in notes.lines(rows, every):
         console.print(escape(text), soft_wrap=True)
 
 
-def _side_by_side(names: Sequence[str], width: int) -> list[slice]:
+def _side_by_side(widths: Sequence[int], width: int) -> list[slice]:
     """Columns that fit into so many characters beside titles and units, block by block."""
     shown = [metric for metric in METRICS if metric.in_table]
     titles = max(len(metric.title) for metric in shown)
     left = width - titles - 2 - max(len(metric.shown_unit or metric.unit) for metric in shown)
     blocks, start, used = [], 0, 0
-    for n, name in enumerate(names):
-        # a figure has up to nine characters; two keep the columns apart
-        needed = max(9, len(name)) + 2
+    for n, needed in enumerate(widths):
+        needed += 2  # keeps the columns apart
         if n > start and used + needed > left:
             blocks.append(slice(start, n))
             start, used = n, 0
         used += needed
-    return [*blocks, slice(start, len(names))]
+    return [*blocks, slice(start, len(widths))]

@@ -27,8 +27,9 @@ def run(
     progress: Tell,
     *,
     separate: bool = False,
+    name: str | None = None,
 ) -> None:
-    """Record the experiment into `<folder>/<scheme>`.
+    """Record the experiment into `<folder>/<name>`.
 
     Parameters
     ----------
@@ -46,6 +47,8 @@ def run(
         Called with the number of periods done, now and then.
     separate : bool
         Plant and controller as two processes (engine `ros`).
+    name : str, optional
+        Of the recording; default: the scheme's.
 
     Raises
     ------
@@ -57,8 +60,9 @@ def run(
         If ROS cannot start (engine `ros`).
     """
     config = configuration(scenario, scheme, engine, seed)
+    path = folder / (name or scheme)
     if engine == "inprocess":
-        _run_inprocess(config, folder / scheme, scenario.periods, progress)
+        _run_inprocess(config, path, scenario.periods, progress)
         return
     # rclpy is needed for this engine only, and may end the process as soon as it is imported
     ros_environment.check(processes=2 if separate else 1)
@@ -67,7 +71,7 @@ def run(
     else:
         from mfpcc_experiments.graph.composed import record
 
-    record(config, folder / scheme, scenario.periods, progress)
+    record(config, path, scenario.periods, progress)
 
 
 def _run_inprocess(config: dict[str, Any], path: Path, periods: int, progress: Tell) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +44,14 @@ if TYPE_CHECKING:
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all noise."
 )
 @click.option(
+    "--seeds",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Run each scheme with N seeds, from --seed on: differences can then be told from chance.",
+)
+@click.option(
     "--set",
     "changes",
     multiple=True,
@@ -59,12 +68,14 @@ def command(
     separate: bool,
     out: Path | None,
     seed: int,
+    seeds: int,
     changes: tuple[str, ...],
     force: bool,
 ) -> None:
     """Run EXPERIMENT (a name of `mfpcc list`, or a file) once per scheme, and compare.
 
-    The folder then holds one recording per scheme, metrics.json, report.html and figures. The exit
+    The folder then holds one recording per scheme and seed, metrics.json, report.html and figures.
+    Which scheme is best is marked where several seeds (--seeds) tell it from chance. The exit
     code is 3 where the drive did not do what was asked for (a trip, a fallback, messages that are
     missing, a pace that was not kept): the notes below the table say what.
     """
@@ -89,13 +100,15 @@ def command(
     try:
         wanted = scenario.changed(wanted, changes)
         for scheme in schemes:
-            wanted.node_parameters(scheme, seed)
+            wanted.node_parameters(scheme, seed + seeds - 1)
     except ParameterError as error:
         raise click.UsageError(error.reason, context) from None
 
     out = out or Path("out") / wanted.name
     with result_folder(out, force=force) as folder:
-        rows = _run_and_compare(wanted, schemes, engine, separate, folder, seed)
+        rows = _run_and_compare(
+            wanted, schemes, engine, separate, folder, range(seed, seed + seeds)
+        )
     # what we record ourselves has to be whole
     conclude(rows, out, strict=True)
 
@@ -106,18 +119,26 @@ def _run_and_compare(
     engine: str,
     separate: bool,
     folder: Path,
-    seed: int,
+    seeds: Sequence[int],
 ) -> list[dict[str, Any]]:
-    """Record each scheme into `<folder>/<scheme>` and compare them, with a progress bar."""
+    """Record each scheme and seed and compare them, with a progress bar."""
     from mfpcc_experiments.progress import progress_bar
     from mfpcc_experiments.reporting import compare
     from mfpcc_experiments.running import run
     from pwm_node import compiled
 
+    several = len(seeds) > 1
+    bags: dict[str, list[Path]] = {scheme: [] for scheme in schemes}
     with progress_bar() as begin:
         compiled.announce()  # above the bar, which stands still meanwhile
-        for scheme in schemes:
-            progress = begin(scheme, scenario.periods)
-            run.run(scenario, scheme, engine, folder, seed, progress, separate=separate)
-        bags = [folder / scheme for scheme in schemes]
-        return compare.compare(bags, folder, progress=begin("compare", 1.0))
+        # Seed by seed, so that what changes with time on this machine is no scheme's doing.
+        for seed in seeds:
+            for scheme in schemes:
+                name = f"{scheme}_seed{seed}" if several else scheme
+                progress = begin(name, scenario.periods)
+                run.run(
+                    scenario, scheme, engine, folder, seed, progress, separate=separate, name=name
+                )
+                bags[scheme].append(folder / name)
+        paths = [path for each in bags.values() for path in each]
+        return compare.compare(paths, folder, progress=begin("compare", 1.0))
