@@ -14,8 +14,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
+
+#: A reader that is overrun must not be one that asks for what it missed: with late samples Fast
+#: DDS 2.14 loses the memory they were to be put into, and a reader without any left takes nothing
+#: for ever (see `pwm_node.ros.loop_topics`).
+_LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class Outside:
@@ -47,9 +52,9 @@ class Outside:
         self._parts: dict[str, dict[str, str]] = {}
         self._levels: dict[str, int] = {}
         subscribe = self.node.create_subscription
-        subscribe(PhaseFeedback, "phase_feedback", self._on_feedback, 1)
-        subscribe(DriveState, "drive_state", self._on_state, 10)
-        subscribe(LutDiagnostics, "lut_diagnostics", self._on_lut, 1)
+        subscribe(PhaseFeedback, "phase_feedback", self._on_feedback, _LATEST)
+        subscribe(DriveState, "drive_state", self._on_state, _LATEST)
+        subscribe(LutDiagnostics, "lut_diagnostics", self._on_lut, _LATEST)
         subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         subscribe(DriveStatus, "drive_status", self._on_status, latest)

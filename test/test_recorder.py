@@ -36,10 +36,10 @@ def recorder(domain: int) -> Iterator[Recorder]:
 
 def feed(recorder: Recorder, topic: str, periods: list[int]) -> None:
     wire = Wire(PhaseFeedback if topic == "phase_feedback" else LutDiagnostics)
-    writers = dict(zip(recorder.last_period, (write for _, write in recorder._inputs), strict=True))
+    keep = recorder._awaited[topic]
     for period in periods:
         wire.fixed["period"] = period
-        writers[topic](wire.to_bytes(), 0)
+        keep(wire.to_bytes(), 0)
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,10 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.experimental.events_executor import EventsExecutor  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 from rclpy.parameter_client import AsyncParameterClient  # noqa: E402
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 
-from pwm_node.ros import spin  # noqa: E402
+from pwm_node.ros import loop_topics, spin  # noqa: E402
 from pwm_node.ros.loop_topics import LoopSubscription  # noqa: E402
 from pwm_node.ros.spin import run  # noqa: E402
 
@@ -229,6 +230,30 @@ def test_a_new_subscriber_in_the_process_of_a_publisher_with_a_full_history(toy,
         publisher.publish(data)
         assert second.take(PhaseFeedback, True) is not None
     executor.shutdown()
+    node.destroy_node()
+
+
+def test_a_subscriber_that_takes_nothing_for_ever_does_not_end_the_loop(toy, context, monkeypatch):
+    monkeypatch.setattr(loop_topics, "_PATIENCE", 0.5)
+    node = toy.Ping(context=context)
+    publisher = node.create_loop_publisher(PhaseFeedback, "phase_feedback")
+    all_of_it = QoSProfile(
+        history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE, depth=0
+    )
+    dead = node.create_subscription(PhaseFeedback, "phase_feedback", print, all_of_it, raw=True)
+    until(lambda: publisher.listeners == 1, "they are matched")
+    for period in range(10_100):  # 5000 are kept at either side
+        node.sample.fixed["period"] = period
+        publisher.publish(node.sample.to_bytes())
+
+    listener = LoopSubscription(node, PhaseFeedback, "phase_feedback", print, "")
+    until(lambda: publisher.listeners == 2, "who comes now is matched")
+    for period in range(20_000):
+        node.sample.fixed["period"] = period
+        publisher.publish(node.sample.to_bytes())
+        message, _ = listener.take(PhaseFeedback, False)
+        assert message.period == period
+    node.destroy_subscription(dead)
     node.destroy_node()
 
 

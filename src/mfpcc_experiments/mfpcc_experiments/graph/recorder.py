@@ -122,10 +122,8 @@ class Recorder(Node):
         self._black_box = black_box
         self._first: tuple[int, int] | None = None
         self._inputs: list[tuple[Subscription, Callable[[bytes, int], None]]] = []
-        for topic in topics:
-            msg_class = getattr(mfpcc_msgs.msg, LOOP_TOPICS[topic].rsplit("/", 1)[-1])
-            subscription = self.create_subscription(msg_class, topic, _never, _KEEP_ALL, raw=True)
-            self._inputs.append((subscription, self._taking(topic, writer)))
+        self._awaited = {topic: self._taking(topic, writer) for topic in topics}
+        self._subscribe()
         # Taken in bulk as well: the executor does not tell when a message was sent.
         self._events = self.create_subscription(
             ParameterEvent, "/parameter_events", _never, qos_profile_parameter_events
@@ -153,10 +151,22 @@ class Recorder(Node):
         taken = [self._events, *(subscription for subscription, _ in self._inputs)]
         return (each for each in super().subscriptions if each not in taken)
 
+    def _subscribe(self) -> None:
+        """Subscribe to those topics that have a publisher by now.
+
+        A publisher waits for its recorders and then begins. So nobody may count as one who does not
+        know of it yet: such a subscription gets nothing that is sent before it does.
+        """
+        for topic in [topic for topic in self._awaited if self.count_publishers(topic)]:
+            msg_class = getattr(mfpcc_msgs.msg, LOOP_TOPICS[topic].rsplit("/", 1)[-1])
+            subscription = self.create_subscription(msg_class, topic, _never, _KEEP_ALL, raw=True)
+            self._inputs.append((subscription, self._awaited.pop(topic)))
+
     def take_all(self, *, last: bool = False) -> None:
         """Take what has come; at the end say that it is the `last` time."""
         if self.error is not None:
             return
+        self._subscribe()
         try:
             for subscription, keep in self._inputs:
                 take, msg_class = subscription.handle.take_message, subscription.msg_type

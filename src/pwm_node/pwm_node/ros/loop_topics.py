@@ -2,6 +2,14 @@
 
 They carry serialized messages (see `pwm_node.wire`), reliably. Publishers keep all that somebody
 has not got yet, so that a recorder loses nothing: one that is slow slows the loop down instead.
+
+A subscriber may take nothing any more, for ever. In Fast DDS 2.14, a reliable one that keeps the
+last few messages loses memory with each message that comes late, after a newer one, and there are
+5000 places: who looks on at full speed with such a subscription on a busy machine has used them up
+in seconds. (`DataReaderHistory::received_change_keep_last` says of such a message that it was
+received and keeps nothing of it, and so nobody gives its place back.) Nobody who only looks on may
+end a drive, so a publisher that has waited in vain goes on without waiting. On the side of the
+subscriber, best effort or "keep all" avoids it.
 """
 
 from __future__ import annotations
@@ -18,6 +26,8 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 PUBLISH = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+# Half a second at 10 kHz: what somebody who is slow may lag behind who is not waited for.
+_PUBLISH_UNWAITING = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 SUBSCRIBE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 # An executor may have a message to deliver from before, and does not hold what it refers to.
@@ -26,10 +36,6 @@ _REMOVED: deque[Any] = deque(maxlen=16)
 # A subscriber that was killed holds a publisher up until the middleware declares it dead (20 s).
 _PATIENCE = 30.0  # s
 _FLUSH = 4.0  # s
-
-
-class PublishError(RuntimeError):
-    """A message that cannot be got rid of."""
 
 
 class LoopPublisher:
@@ -58,11 +64,12 @@ class LoopPublisher:
         self._sent_at_match: int | None = None  # None: nothing was sent yet
         self._settled_match = 0
         self._known: set[bytes] = set()
+        self._profile = PUBLISH
         self._create()
 
     def _create(self) -> None:
         self._total = 0
-        self._publisher = self._node.create_publisher(self._msg_class, self._name, PUBLISH)
+        self._publisher = self._node.create_publisher(self._msg_class, self._name, self._profile)
         # Looked at now and then, and no business of the executor. That one must not have an event
         # of a publisher that goes: it raises InvalidHandle, or the process crashes, since rclpy
         # 7.1.6 then gives up the last hold on a Python object without the interpreter's lock.
@@ -98,8 +105,8 @@ class LoopPublisher:
         self._sent_at_match = self._matches
         try:
             self._publish_raw(data)
-        except rclpy_implementation.RCLError as error:
-            self._publish_patiently(data, error)
+        except rclpy_implementation.RCLError:
+            self._publish_patiently(data)
 
     @property
     def new_listener(self) -> bool:
@@ -162,25 +169,31 @@ class LoopPublisher:
         here = {gid for gid in gids if gid[:8] in own}
         return here, gids - here
 
-    def _publish_patiently(self, data: bytes, error: Exception) -> None:
+    def _publish_patiently(self, data: bytes) -> None:
         """Publish where it just failed since somebody takes nothing; each attempt lasts 0.1 s."""
         began = time.monotonic()
         reported = False
         while self._node.context.ok() and not self._stopping():
             try:
                 self._publish_raw(data)
-            except rclpy_implementation.RCLError as again:
-                error = again
+            except rclpy_implementation.RCLError:
+                pass  # still no room
             else:
                 if reported:
                     self._node.get_logger().info(f"{self.topic}: goes on")
                 return
             waited = time.monotonic() - began
             if waited > _PATIENCE:
-                raise PublishError(
-                    f"{self.topic}: a subscriber has taken nothing for {waited:.0f} s; stop it "
-                    f"(see 'ros2 topic info -v {self.topic}')"
-                ) from error
+                self.destroy()
+                self._profile = _PUBLISH_UNWAITING
+                self._create()
+                self._publish_raw(data)
+                self._node.get_logger().error(
+                    f"{self.topic}: a subscriber has taken nothing for {waited:.0f} s, and nobody "
+                    "is waited for on this topic any more: who is slow loses messages from now on "
+                    f"(stop it: 'ros2 topic info -v {self.topic}' names it)"
+                )
+                return
             if waited > 1.0 and not reported:
                 reported = True
                 self._node.get_logger().warning(
