@@ -13,7 +13,8 @@ IN_ENVIRONMENT := source ./setup.bash;
 export PYTHON
 
 # What somebody set for another Python is not for the commands here. A sourced ROS 2 is found by it.
-unexport PYTHONHOME PYTHONSTARTUP PYTHONOPTIMIZE
+unexport PYTHONHOME PYTHONSTARTUP PYTHONOPTIMIZE PYTHONINSPECT PYTHONEXECUTABLE PYTHONPLATLIBDIR \
+    PYTHONWARNINGS PYTHONSAFEPATH PYTHONCASEOK PYTHONVERBOSE PYTHONBREAKPOINT
 # Without bytecode kept, each of the many processes that a run starts compiles all it imports.
 unexport PYTHONDONTWRITEBYTECODE
 ifndef ROS_DISTRO

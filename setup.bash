@@ -9,12 +9,28 @@ fi
 
 _mfpcc_root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")" >/dev/null && pwd -P)
 
-# The set-up writes these files last, so without them there is nothing here, or half of it.
-if [[ ! -f "$_mfpcc_root/.venv/.complete" || ! -f "$_mfpcc_root/install/.complete" ]]; then
-    echo "setup.bash: nothing is built here yet; run: make -C $(printf %q "$_mfpcc_root") build" >&2
-    unset _mfpcc_root
+# The set-up writes these files last, so without them there is nothing here, or half of it. What it
+# made names the folder that it was made in: in a moved or copied one it would start the other's code.
+_mfpcc_wrong=
+for _mfpcc_file in .venv/.complete install/mfpcc.completion.bash install/.complete; do
+    [[ -f "$_mfpcc_root/$_mfpcc_file" ]] || _mfpcc_wrong="nothing is built here yet"
+done
+if [[ -z "$_mfpcc_wrong" ]]; then
+    _mfpcc_made=$(<"$_mfpcc_root/.venv/.complete")
+    if [[ "$_mfpcc_made" != *"\"$_mfpcc_root/.venv\""* ]]; then
+        _mfpcc_wrong="what is built here was built in another folder, from which this one came"
+    elif [[ -n "${ROS_DISTRO:-}" && "$_mfpcc_made" == *'"ros": "PyPI"'* ]]; then
+        _mfpcc_wrong="this shell has ROS 2 $ROS_DISTRO, and what is built here brings its own: use \
+a shell without ROS_DISTRO, or build it for this one"
+    fi
+    unset _mfpcc_made
+fi
+if [[ -n "$_mfpcc_wrong" ]]; then
+    echo "setup.bash: $_mfpcc_wrong; run: make -C $(printf %q "$_mfpcc_root") build" >&2
+    unset _mfpcc_root _mfpcc_file _mfpcc_wrong
     return 1
 fi
+unset _mfpcc_file _mfpcc_wrong
 
 # Neither of the two scripts is written for `set -u`.
 case $- in

@@ -285,6 +285,16 @@ def test_nothing_but_the_lock_is_installed(workspace, index, tmp_path, by):
     assert not (tmp_path / "poisoned").exists()
     assert not (tmp_path / "elsewhere").exists()
 
+    # Killed in the middle, an installer leaves a package that is described and not whole.
+    lock.write_text(index.offer(repacked("uv")) if by == "uv" else index.offer(source("uv", "1.0")))
+    (workspace / ".venv/.development-complete").unlink()
+    (module,) = workspace.glob(".venv/lib/python*/site-packages/checker.py")
+    module.unlink()
+    done = set_up(workspace, "development", PIP_INDEX_URL=index.url)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert ("by pip" in done.stdout) == (by == "pip"), done.stdout
+    assert module.exists()
+
 
 def test_an_incomplete_lock_is_found_out(workspace, index):
     run = workspace / "requirements/run.txt"

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -287,6 +288,35 @@ def test_an_environment_of_somebody_else_is_left_alone(empty):
     assert (empty / ".venv/precious").exists()
 
 
+def test_an_environment_that_is_half_removed_is_ours_and_not_whole(tmp_path, monkeypatch):
+    """Whichever file goes first, a set-up that is killed there is followed by another."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    program = import_module("set_up")
+    folder = tmp_path / ".venv"
+    folder.mkdir()
+    names = {
+        "VENV": "",
+        "MARK": program.MARK.name,
+        "ENVIRONMENT_STAMP": program.ENVIRONMENT_STAMP.name,
+        "DEVELOPMENT_STAMP": program.DEVELOPMENT_STAMP.name,
+    }
+    for name, file in names.items():
+        monkeypatch.setattr(program, name, folder / file)
+        if file:
+            (folder / file).touch()
+    (folder / "bin").mkdir()
+    (folder / "pyvenv.cfg").touch()
+
+    def killed(path: Path) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(program.shutil, "rmtree", killed)
+    with pytest.raises(KeyboardInterrupt):
+        program._empty_environment()
+    left = {path.name for path in folder.iterdir()}
+    assert {program.MARK.name, "bin"} <= left <= {program.MARK.name, "bin", "pyvenv.cfg"}
+
+
 @pytest.mark.parametrize("python", ["python3.12", "3.12"])
 def test_a_python_of_pyenv_is_found_where_it_is_not_active(tmp_path, python):
     there = tmp_path / "home/.pyenv/versions/3.12.77/bin/python"
@@ -325,6 +355,28 @@ def test_the_set_up_compiles_what_the_nodes_will_call(monkeypatch):
     finally:
         rclpy.shutdown()
     assert [set(kernel.signatures) for kernel in (latch, advance, control)] == compiled
+
+
+def test_what_is_set_for_another_python_reaches_neither_the_set_up_nor_a_target():
+    """With PYTHONWARNINGS=error, say, a warning in any library would end what is run."""
+    lists = (
+        re.search(r"^unset (PYTHONHOME(?:.|\\\n)*)$", (ROOT / "tools/set_up.sh").read_text(), re.M),
+        re.search(r"^unexport (PYTHONHOME(?:.|\\\n)*)$", (ROOT / "Makefile").read_text(), re.M),
+    )
+    of_set_up, of_targets = ({n for n in re.findall(r"\w+", m[1]) if n[0] != "_"} for m in lists)
+    assert of_set_up == of_targets
+    rule = "show: ; @env\n"
+    done = subprocess.run(
+        ["make", "-f", "-", "show"],
+        input=(ROOT / "Makefile").read_text() + rule,
+        cwd=ROOT,
+        env={"PATH": "/usr/bin:/bin", **dict.fromkeys(of_targets, "set")},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert done.returncode == 0, done.stderr
+    assert not of_targets & {name for name, _ in lines_of(done.stdout)}
 
 
 # Containers -----------------------------------------------------------------------------------
@@ -392,6 +444,30 @@ def test_setup_bash_refuses_where_nothing_is_built(tmp_path):
     assert done.stdout == "code 1\n"
     assert f"make -C {tmp_path} build" in done.stderr
     assert run("bash", tmp_path / "setup.bash").returncode == 1  # executed, not sourced
+
+
+def test_setup_bash_refuses_what_was_built_for_another_folder_or_ros(tmp_path):
+    """In a copied folder it would start the code of the one it was copied from."""
+    shutil.copy(ROOT / "setup.bash", tmp_path)
+    for name in (".venv/bin/activate", "install/setup.bash", "install/mfpcc.completion.bash"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"echo sourced {name}; VIRTUAL_ENV=/x\n")
+    (tmp_path / "install/.complete").touch()
+    stamp = tmp_path / ".venv/.complete"
+    script = f"source '{tmp_path}/setup.bash'; echo code $?"
+    for folder, ros, distro, said in (
+        (ROOT, "PyPI", "", "built in another folder"),
+        (tmp_path, "PyPI", "humble", "this shell has ROS 2 humble"),
+        (tmp_path, "PyPI", "", ""),
+        (tmp_path, "/opt/ros/jazzy", "jazzy", ""),
+        (tmp_path, "/opt/ros/jazzy", "", ""),  # what is built sources it
+    ):
+        stamp.write_text(json.dumps({"folder": f"{folder}/.venv", "ros": ros}, indent=1))
+        done = run("bash", "-uc", script, cwd=tmp_path, ROS_DISTRO=distro)
+        assert ("sourced" in done.stdout) == (not said), done.stdout
+        assert said in done.stderr
+        assert len(done.stderr.splitlines()) == bool(said)
+        assert done.stdout.endswith(f"code {int(bool(said))}\n")
 
 
 @pytest.mark.parametrize("wheels", [False, True])

@@ -21,6 +21,7 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import sys
@@ -68,7 +69,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Set up what is missing.")
     parser.add_argument("parts", nargs="+", choices=PARTS, metavar="|".join(PARTS))
     parts = parser.parse_args().parts
-    signal.signal(signal.SIGTERM, _terminated)
+    for number in (signal.SIGTERM, signal.SIGHUP):  # ended, or its terminal is closed
+        signal.signal(number, _terminated)
     try:
         wrong = machine.path_problem(ROOT)
         if wrong:
@@ -145,9 +147,7 @@ def _make_environment(steps: Steps) -> None:
             "it, and call make again"
         )
     print(f"set-up: Python environment .venv, of {' '.join(THIS_PYTHON)}", flush=True)
-    _remove(VENV)
-    VENV.mkdir()
-    MARK.touch()
+    _empty_environment()
     # What the machine's ROS 2 imports (lark, empy, ...) is among the machine's Python packages.
     see_machine = ["--system-site-packages"] if os.environ.get("ROS_DISTRO") else []
     venv = [sys.executable, "-m", "venv", *see_machine, str(VENV)]
@@ -161,13 +161,52 @@ def _make_environment(steps: Steps) -> None:
     _write(ENVIRONMENT_STAMP, {**_environment_stamp(), "python": THIS_PYTHON})
 
 
+def _empty_environment() -> None:
+    """Leave nothing of .venv but its mark, in an order that may be broken off anywhere.
+
+    While something is there, it is marked as ours; and before the first file goes, the stamps are
+    gone.
+    """
+    if VENV.is_symlink():
+        VENV.unlink()
+    VENV.mkdir(exist_ok=True)
+    MARK.touch()
+    for stamp in (ENVIRONMENT_STAMP, DEVELOPMENT_STAMP):
+        stamp.unlink(missing_ok=True)
+    for path in VENV.iterdir():
+        if path != MARK:
+            _remove(path)
+
+
 def _make_development(steps: Steps) -> None:
     DEVELOPMENT_STAMP.unlink(missing_ok=True)
     print("set-up: what tests, checks and measures", flush=True)
+    _forget(_names((DEVELOPMENT_LOCK,)) - _names(_locks()))
     with _installer(steps) as installer:
         installer.install("packages", DEVELOPMENT_LOCK)
     _check_environment(steps, *_locks(), DEVELOPMENT_LOCK)
     _write(DEVELOPMENT_STAMP, _development_stamp())
+
+
+def _forget(names: set[str]) -> None:
+    """Have some packages installed again: an interrupted set-up may have left half of them.
+
+    Either installer takes a package for installed that has a description, and has otherwise no
+    trouble with writing over what is there.
+    """
+    for description in VENV.glob("lib/python*/site-packages/*.dist-info"):
+        if _normal(description.name.split("-")[0]) in names:
+            _remove(description)
+
+
+def _names(locks: Iterable[Path]) -> set[str]:
+    pinned = re.compile(r"^([\w.-]+)==", re.MULTILINE)
+    return {_normal(name) for lock in locks for name in pinned.findall(lock.read_text())}
+
+
+def _normal(name: str) -> str:
+    """Return a package's name as it is compared."""
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def _installer(steps: Steps) -> Installer:
@@ -328,7 +367,7 @@ _NOT_FOR_US = (
 
 def _remove(folder: Path) -> None:
     """Remove what the set-up made before, whole."""
-    if folder.is_symlink():
+    if folder.is_symlink() or folder.is_file():
         folder.unlink()
     elif folder.exists():
         try:
