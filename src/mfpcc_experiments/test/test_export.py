@@ -104,6 +104,7 @@ def test_mat(bag, tmp_path):
 
 def test_parquet(bag, tmp_path):
     from pyarrow import parquet
+
     path = tmp_path / "run.parquet"
     assert cli.run(["export", str(bag), "--format", "parquet", "--out", str(path)]) == 0
     table = parquet.read_table(path)

@@ -111,6 +111,7 @@ def test_importing_is_cheap() -> None:
 
 def test_data_frame(short: Result) -> None:
     import pandas
+
     frame = short.to_dataframe()
     assert isinstance(frame, pandas.DataFrame) and frame.index.name == "period"
     assert frame["i_a_A"].iloc[5] == short.i_abc[5, 0]
