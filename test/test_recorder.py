@@ -7,8 +7,12 @@ from typing import Any
 
 import pytest
 import rclpy
-from mfpcc_msgs.msg import LutDiagnostics, PhaseFeedback
+from harness import until
+from mfpcc_msgs.msg import DutyCommand, LutDiagnostics, PhaseFeedback
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.parameter import Parameter as RosParameter
 
+from mfpcc_controller.node import MfpccController
 from mfpcc_experiments.graph.recorder import Recorder, _arguments
 from pwm_node.wire import Wire
 
@@ -67,3 +71,33 @@ def test_a_recorder_is_told_where_to(capsys: pytest.CaptureFixture[str]) -> None
     with pytest.raises(SystemExit):
         _arguments([])
     assert "give --out, --black-box, or both" in capsys.readouterr().err
+
+
+def test_the_first_answer_of_the_controller_waits_for_its_recorder(domain: int) -> None:
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    waits = RosParameter("recorders", value=1)
+    controller = MfpccController(context=context, parameter_overrides=[waits])
+    executor = EventsExecutor(context=context)
+    executor.add_node(controller)
+    controller.trigger_configure()
+    controller.trigger_activate()
+    sample = Wire(PhaseFeedback)
+    sample.fixed["period"] = 0
+
+    def answered() -> bool:
+        executor.spin_once(0.01)
+        return controller.period == 0
+
+    controller._on_feedback(sample.to_bytes())
+    assert not answered()
+    recorder = Recorder(context=context)
+    plant = controller.create_subscription(DutyCommand, "duty_command", print, 10)
+    until(answered, "the sample is answered once everybody is there")
+    assert len(list(recorder._inputs)) == 2
+    controller.destroy_subscription(plant)
+    recorder.destroy_node()
+    executor.shutdown()
+    controller.stop()
+    controller.destroy_node()
+    rclpy.try_shutdown(context=context)

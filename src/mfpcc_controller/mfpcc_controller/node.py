@@ -153,7 +153,8 @@ class MfpccController(PwmNode):
             self.get_logger().error(f"phase_feedback refused: {error}", throttle_duration_sec=1.0)
             return
         k = int(feedback.fixed["period"][0])
-        if k != self.period + 1 and not self._out_of_turn(k):
+        # the very first one is not the next one either: somebody may have to hear its answer
+        if (k != self.period + 1 or k == 0) and not self._out_of_turn(k):
             return
         if k >= self.next_change:
             self.apply_due(k)
@@ -188,7 +189,7 @@ class MfpccController(PwmNode):
         self._overruns = 0
 
     def _out_of_turn(self, k: int) -> bool:
-        """Handle a sample that is not the next one; return whether to answer it."""
+        """Handle a sample that is not the next one, or the first; return whether to answer it."""
         if k == self.period:
             # the plant has not got the answer
             self._command_out.publish_aside(self._command.to_bytes())
