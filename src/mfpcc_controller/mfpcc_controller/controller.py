@@ -259,6 +259,7 @@ class Controller:
         self.cfg["i_max"] = self.motor.i_max
         self.cfg["enable"] = True
         self.mem["derating"] = 1.0
+        self.mem["flux_share"] = 1.0
         self.mem["active"] = -1
         self.mem["chosen"] = -1
         self._plug_in: plug_in.Host | None = None
@@ -418,6 +419,8 @@ class Controller:
 
         cfg["rank_sectors"] = values["sector_search"] == "ranking"
         cfg["project"] = values["overmodulation"] == "project"
+        gain = values["deadbeat.gain"]
+        cfg["gain"] = [gain or scheme.gain for scheme in schemes.BUILT_IN]
         for scheme in schemes.BUILT_IN:
             scheme.configure(cfg[0], self.mem[0], values)
 
@@ -441,16 +444,19 @@ class Controller:
         cfg["i_dq_ref"] = complex(values["i_d_ref"], values["i_q_ref"])
         # References are made from the motor file, whatever mismatch the current control has: all
         # schemes shall follow the same ones.
+        cfg["ref_L_d"], cfg["ref_L_q"] = est_par.L_d, est_par.L_q
+        cfg["ref_psi_f"] = est_par.psi_f
         saliency = est_par.L_q - est_par.L_d
         salient = values["mtpa"] and abs(saliency) > 1e-3 * est_par.L_q
         cfg["mtpa"] = est_par.psi_f / (4.0 * saliency) if salient else 0.0
-        cfg["i_s_max"] = self._current_limit(values["torque_limit"])
-        cfg["weaken"] = _WEAKENING_BANDWIDTH / est_par.L_d if values["field_weakening"] else 0.0
+        cfg["torque_max"] = self._torque_limit(values["torque_limit"])
+        cfg["weaken"] = values["field_weakening"]
         if not values["field_weakening"]:
-            self.mem["i_d_weak"] = 0.0
+            self.mem["flux_share"] = 1.0
+            self.mem["weakened"] = False
         # gains of Harnefors et al. for bandwidth alpha_s; torque per ampere of the motor file
         alpha_s = values["speed.bandwidth"]
-        inertia = est_par.J / (1.5 * est_par.n_p * est_par.psi_f)
+        inertia = (est_par.J + values["load.inertia"]) / (1.5 * est_par.n_p * est_par.psi_f)
         cfg["k_t"] = alpha_s * inertia
         cfg["k_p"] = 2.0 * alpha_s * inertia
         cfg["k_i"] = alpha_s * alpha_s * inertia
@@ -458,23 +464,12 @@ class Controller:
         cfg["pll_k_p"] = 2.0 * omega_o
         cfg["pll_k_i"] = omega_o * omega_o
 
-    def _current_limit(self, torque_limit: float) -> float:
-        """Largest current amplitude (A) whose torque is within the limit (N m; 0: none)."""
+    def _torque_limit(self, torque: float) -> float:
+        """Largest torque (N m; 0: what i_max makes) in A with the magnet's flux alone."""
         est_par, mtpa = self.motor, float(self.cfg["mtpa"][0])
-
-        def torque(i_s: float) -> float:
-            i_d = mtpa_d(mtpa, i_s) if mtpa else 0.0
-            flux = est_par.psi_f + (est_par.L_d - est_par.L_q) * i_d
-            return 1.5 * est_par.n_p * flux * math.sqrt(i_s * i_s - i_d * i_d)
-
-        if torque_limit == 0.0 or torque(est_par.i_max) <= torque_limit:
-            return est_par.i_max
-        low, high = 0.0, est_par.i_max
-        for _ in range(50):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if torque(middle) < torque_limit else (low, middle)
-        return low
-
-
-#: Bandwidth of field weakening (rad/s): slower than the current, faster than the speed
-_WEAKENING_BANDWIDTH = 100.0
+        i_d = mtpa_d(mtpa, est_par.i_max) if mtpa else self.values["i_d_ref"]
+        flux = est_par.psi_f + (est_par.L_d - est_par.L_q) * i_d
+        most = est_par.i_max * max(flux / est_par.psi_f, 1.0)
+        if torque == 0.0:
+            return most
+        return min(most, torque / (1.5 * est_par.n_p * est_par.psi_f))

@@ -134,6 +134,17 @@ TABLE = Table(
             maximum=5_000.0,
         ),
         Parameter(
+            "load.inertia",
+            0.0,
+            "Inertia of the load, for the gains of the speed loop; experiments tell that of the "
+            "plant",
+            unit="kg m^2",
+            minimum=0.0,
+            maximum=1e3,
+            read_only=True,
+            also=("load.J",),
+        ),
+        Parameter(
             "observer.bandwidth",
             600.0,
             "Bandwidth of the rotor observer (phase-locked loop on the encoder angle)",
@@ -155,6 +166,15 @@ TABLE = Table(
             "paper), or become those of the point of the voltage hexagon nearest to the wanted "
             "voltage (project)",
             choices=OVERMODULATIONS,
+        ),
+        Parameter(
+            "deadbeat.gain",
+            0.0,
+            "Share of the predicted error of the current that a predictive scheme takes off in one "
+            "period: 1 is deadbeat, less is slower and quieter, and stands a wrong model better; "
+            "0: the scheme's own",
+            minimum=0.0,
+            maximum=1.0,
         ),
         *schemes.PARAMETERS,
         *protection.PARAMETERS,

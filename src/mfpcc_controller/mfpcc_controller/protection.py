@@ -78,9 +78,9 @@ FAULTS = Faults(
         reaction=_DISABLED,
         threshold=Parameter(
             "fault.encoder_jump",
-            0.05,
+            0.12,
             "Step of the angle from sample to sample that trips, on top of what 1.5 times top "
-            "speed allows; it has to be above the step of a coarse encoder",
+            "speed allows; it has to be above the step of a coarse encoder (15 lines: 0.105)",
             unit="rad",
             minimum=0.0,
             maximum=3.2,
@@ -102,6 +102,21 @@ FAULTS = Faults(
         code="SPINOUT",
         text="mechanical power {value:.0f} W while the machine takes electrical power",
         reaction=_DISABLED,
+    ),
+    Fault(
+        code="STALL",
+        text="no way made towards the speed's reference in {value:.3g} s, with all the torque that "
+        "is allowed: a blocked rotor, or a wrong number of pole pairs",
+        reaction=_DISABLED,
+        threshold=Parameter(
+            "fault.stall_time",
+            2.0,
+            "Time in which a drive in speed control has to make some way towards its reference, "
+            "once it needs all its torque; 0: for ever",
+            unit="s",
+            minimum=0.0,
+            maximum=1e3,
+        ),
     ),
     Fault(
         code="PREDICTION",
@@ -169,6 +184,7 @@ CURRENT_SUM = FAULTS.number("CURRENT_SUM")
 ENCODER = FAULTS.number("ENCODER")
 OVERSPEED = FAULTS.number("OVERSPEED")
 SPINOUT = FAULTS.number("SPINOUT")
+STALL = FAULTS.number("STALL")
 PREDICTION = FAULTS.number("PREDICTION")
 SCHEME = FAULTS.number("SCHEME")
 INVERTER = FAULTS.number("INVERTER")
@@ -180,11 +196,17 @@ _SENSOR_RANGE = 4.0
 _ANGLE_END = 2.0 * math.pi + 1e-6
 # Overspeed has to last so long: the observer starts with a speed from two angles only.
 _OVERSPEED_TIME = 2e-3
-# So far (rad) must the rotor have turned while the encoder stood still; a coarse one has steps.
+# So far (rad), and two steps of the encoder, must the rotor have turned while that stood still: one
+# may pass without being seen where it turns back, one is the observer's delay.
 _FROZEN = 0.05
-_SPINOUT_POWER = 10.0  # W, of both signs
-# Voltage that dead time and on-state voltages may take from the inverter's, over u_dc
-_INVERTER = 0.04
+# Share of the time without progress in which all the torque was asked for, from which it stalls
+_STALL_SHARE = 0.2
+# Powers of both signs, over the largest that voltage and current limit make (seed_750: 10 W)
+_SPINOUT_POWER = 3e-3
+# Dead time that an inverter may have (s), and voltage that it may lose besides, over u_dc. Dead
+# time takes from a leg its share of the period, which as a space vector is 4/3 of that.
+_DEAD_TIME = 5e-6
+_ON_STATE = 0.01
 # Filters of the sum of the phase currents, and of the powers that SPINOUT compares (s)
 _SUM_TIME = 1e-3
 _POWER_TIME = 5e-3
@@ -200,6 +222,9 @@ CFG_FIELDS = [
     ("copper", np.float64),  # twice 1.5 R_s of the motor file (ohm)
     ("torque_per_ampere", np.float64),  # 1.5 psi_f of the motor file: times w_m, power (V s)
     ("power_rate", np.float64),  # share of a sample in the filter of the powers
+    ("lost", np.float64),  # 1.5 times the voltage that the inverter may lose, over u_dc
+    ("spinout_power", np.float64),  # (W)
+    ("stall_time", np.float64),  # (s)
     ("prediction_sq", np.float64),  # (A^2)
     ("prediction_time", np.float64),  # (s)
     ("u_dc", np.float64),  # of the motor file (V)
@@ -220,8 +245,17 @@ MEMORY = np.dtype(
         ("invalid_in_row", np.int64),
         ("sum", np.float64),  # of the phase currents, filtered (A)
         ("angle", np.float64),  # the encoder's, of the sample before (rad)
+        ("step", np.float64),  # smallest of its steps so far (rad)
         ("unseen", np.float64),  # turned by the estimated speed since the encoder last moved (rad)
         ("fast", np.float64),  # time at overspeed (s)
+        # since the reference has its sign, at most for the time that makes a stall
+        ("ahead", np.float64),  # the sign
+        ("motion_time", np.float64),  # (s)
+        ("limited_time", np.float64),  # of it, at the limit of the torque (s)
+        ("way", np.float64),  # turned ahead (rad, electrical)
+        ("w_before", np.float64),  # speed ahead at the beginning (rad/s, electrical)
+        ("went", np.bool_),  # has been on its way, and after that on its way back
+        ("turned_back", np.bool_),
         ("electrical", np.float64),  # filtered powers (W)
         ("mechanical", np.float64),
         ("wrong", np.float64),  # time with bad predictions (s)
@@ -245,6 +279,9 @@ def configure(cfg: np.void, motor: EstimatedPars, values: Mapping[str, Any]) -> 
     cfg["copper"] = 2.0 * 1.5 * motor.R_s
     cfg["torque_per_ampere"] = 1.5 * motor.psi_f
     cfg["power_rate"] = 1.0 - math.exp(-T_s / _POWER_TIME)
+    cfg["lost"] = 1.5 * (4.0 / 3.0 * _DEAD_TIME / T_s + _ON_STATE)
+    cfg["spinout_power"] = _SPINOUT_POWER * 1.5 * motor.u_dc / math.sqrt(3.0) * i_max
+    cfg["stall_time"] = values["fault.stall_time"] or math.inf
     cfg["prediction_sq"] = (values["fault.prediction_error"] * i_max) ** 2
     cfg["prediction_time"] = values["fault.prediction_time"]
     cfg["u_dc"] = motor.u_dc
@@ -325,10 +362,12 @@ def _watch_encoder(cfg, mem, angle):
             trip(cfg, mem, ENCODER, turned)
         if turned > 0.0:
             guard.unseen = 0.0
+            guard.step = min(guard.step, turned) if guard.step > 0.0 else turned
         else:
-            guard.unseen += abs(mem.w_m) * cfg.T_s / cfg.n_p
-            if guard.unseen > _FROZEN:
-                trip(cfg, mem, ENCODER, guard.unseen)
+            # a rotor that turns back within a step is not seen to do so
+            guard.unseen += mem.w_m * cfg.T_s / cfg.n_p
+            if abs(guard.unseen) > _FROZEN + 2.0 * guard.step:
+                trip(cfg, mem, ENCODER, abs(guard.unseen))
     guard.angle = angle
 
 
@@ -346,12 +385,46 @@ def _watch_power(cfg, mem):
     taken = 1.5 * mem.u_dc * (u_dq.real * i_dq.real + u_dq.imag * i_dq.imag)
     stored = cfg.stored * (square(mem.i_dq) - square(mem.i_dq_past))
     size = math.sqrt(square(i_dq))
-    electrical = taken - stored - size * (cfg.copper * size + 1.5 * _INVERTER * mem.u_dc)
+    electrical = taken - stored - size * (cfg.copper * size + cfg.lost * mem.u_dc)
     mechanical = cfg.torque_per_ampere * mem.i_dq.imag * mem.w_m
     guard.electrical += cfg.power_rate * (electrical - guard.electrical)
     guard.mechanical += cfg.power_rate * (mechanical - guard.mechanical)
-    if guard.mechanical < -_SPINOUT_POWER and guard.electrical > _SPINOUT_POWER:
+    if guard.mechanical < -cfg.spinout_power and guard.electrical > cfg.spinout_power:
         trip(cfg, mem, SPINOUT, guard.mechanical)
+
+
+@kernel
+def _watch_motion(cfg, mem):
+    """A rotor that makes no way towards its reference, or turns back, with all the torque there is.
+
+    With a wrong number of pole pairs it stands, swings, or runs the other way.
+    """
+    guard, rest = mem.guard, cfg.w_rest
+    ahead = math.copysign(1.0, cfg.w_M_ref)
+    if not cfg.speed_control or abs(cfg.w_M_ref) * cfg.n_p <= rest or ahead != guard.ahead:
+        guard.ahead = ahead
+        guard.motion_time = 0.0
+        return
+    w = ahead * mem.w_m
+    if guard.motion_time == 0.0:
+        guard.limited_time = 0.0
+        guard.way = 0.0
+        guard.w_before = w
+        guard.went = False
+        guard.turned_back = False
+    guard.motion_time += cfg.T_s
+    guard.way += cfg.T_s * w
+    guard.went |= w > rest
+    guard.turned_back |= guard.went and w < -rest
+    if mem.torque_limited:
+        guard.limited_time += cfg.T_s
+    if guard.motion_time < cfg.stall_time:
+        return
+    moves = guard.way > rest * guard.motion_time or w - guard.w_before > rest
+    limited = guard.limited_time > _STALL_SHARE * guard.motion_time
+    if limited and (guard.turned_back or not moves):
+        trip(cfg, mem, STALL, guard.motion_time)
+    guard.motion_time = 0.0
 
 
 @kernel
@@ -375,7 +448,9 @@ def watch(cfg, mem, fb):
             trip(cfg, mem, OVERSPEED, mem.w_m / cfg.n_p)
     if mem.past.on and mem.consecutive:
         _watch_power(cfg, mem)
+        _watch_motion(cfg, mem)
     else:
+        guard.motion_time = 0.0
         guard.electrical = 0.0
         guard.mechanical = 0.0
 

@@ -30,10 +30,14 @@ CONTROL_CFG = np.dtype(
         ("w_M_ref", np.float64),  # (rad/s)
         ("i_dq_ref", np.complex128),  # (A); its q part is the speed loop's in speed control
         ("i_max", np.float64),  # (A)
-        ("i_s_max", np.float64),  # the same or less, for the torque limit (A)
+        ("torque_max", np.float64),  # as the i_q (A) that makes it with the magnet's flux alone
         # maximum torque per ampere: psi_f / (4 (L_q - L_d)) of the motor file (A); 0: off
         ("mtpa", np.float64),
-        ("weaken", np.float64),  # field weakening (A/(V s) at 1 rad/s); 0: off
+        ("weaken", np.bool_),  # field weakening
+        # the motor file's, from which references are made whatever mismatch the current control has
+        ("ref_L_d", np.float64),  # (H)
+        ("ref_L_q", np.float64),
+        ("ref_psi_f", np.float64),  # (V s)
         # speed loop, from the motor file's values
         ("k_p", np.float64),  # (A s/rad)
         ("k_i", np.float64),  # (A/rad)
@@ -42,6 +46,7 @@ CONTROL_CFG = np.dtype(
         ("pll_k_p", np.float64),  # (1/s)
         ("pll_k_i", np.float64),  # (1/s^2)
         # search
+        ("gain", np.float64, (len(schemes.BUILT_IN),)),  # of each scheme on the predicted error
         ("rank_sectors", np.bool_),
         ("project", np.bool_),
         *protection.CFG_FIELDS,
@@ -95,9 +100,11 @@ CONTROL_MEMORY = np.dtype(
         ("now", OUTPUT),
         ("next", OUTPUT),
         # speed loop and field weakening
-        ("i_q_int", np.float64),  # integral of the speed loop (A)
+        ("torque_int", np.float64),  # integral of the speed loop (A, as cfg.torque_max)
         ("speed_ready", np.bool_),  # it has started
-        ("i_d_weak", np.float64),  # (A), <= 0
+        ("torque_limited", np.bool_),  # it asks for more torque than there is
+        ("flux_share", np.float64),  # allowed flux over that of voltage and speed
+        ("weakened", np.bool_),  # the flux is at its limit
         # who controls
         ("chosen", np.int64),  # cfg.scheme of the last sample
         ("active", np.int64),  # who controlled then: the chosen scheme, or the fallback

@@ -13,6 +13,16 @@ from pwm_node.compiled import kernel
 
 
 @kernel
+def correction(cfg, mem, i_1):
+    """What the next period is to take off the error that the current i_1 (A) would leave.
+
+    With a gain of 1 all of it, in one period (deadbeat); less is slower, quieter, and stands a
+    wrong model better.
+    """
+    return scaled(cfg.gain[mem.active], mem.i_dq_ref - i_1)
+
+
+@kernel
 def by_dwell(x, G_1, G_2):
     """The one adjacent pair whose dwell times are both non-negative, on any machine.
 

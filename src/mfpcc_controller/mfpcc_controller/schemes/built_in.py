@@ -45,6 +45,9 @@ class BuiltIn:
     memory : dtype, optional
         Its part of `CONTROL_MEMORY`, `mem.<name>`. The field `ready` says whether it holds
         something; the controller clears it when the scheme in control has failed.
+    gain : float
+        Share of the predicted error that a period takes off, where `deadbeat.gain` leaves it open;
+        for schemes that use `search.correction`.
     """
 
     name: str
@@ -55,3 +58,4 @@ class BuiltIn:
     cfg: np.dtype[np.void] | None = None
     configure: Callable[[np.void, np.void, Mapping[str, Any]], None] = _nothing_to_configure
     memory: np.dtype[np.void] | None = None
+    gain: float = 1.0

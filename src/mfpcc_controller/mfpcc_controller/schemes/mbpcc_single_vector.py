@@ -19,7 +19,7 @@ from pwm_node.compiled import kernel
 def step(cfg, mem):
     """Predict sample k + 1 with the committed output, try all seven for k + 2."""
     i_1 = model.predict(cfg, mem)
-    x = mem.i_dq_ref - i_1 - model.natural(cfg, mem.w_m, i_1)
+    x = search.correction(cfg, mem, i_1) - model.natural(cfg, mem.w_m, i_1)
     G_1, G_2 = model.forced_vectors(cfg, mem.u_dc, mem.turn_next)
     best = search.nearest_vector(x, G_1, G_2)
     set_output(mem.next, best, 0, 1.0 if best > 0 else 0.0, 0.0)

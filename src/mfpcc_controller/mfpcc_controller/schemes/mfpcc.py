@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from mfpcc_controller import model
+from mfpcc_controller import model, search
 from mfpcc_controller.diagnostics import show_shares
 from mfpcc_controller.schemes.built_in import BuiltIn
 from mfpcc_controller.vectors import (
@@ -43,12 +43,16 @@ _UPDATES = ("linear", "last", "last_refresh")
 _LINEAR = _UPDATES.index("linear")
 _LAST_REFRESH = _UPDATES.index("last_refresh")
 
+# Smallest change of the voltage, over that of the DC link, where the parameter leaves it open
+_U_MIN = 20.0 / 311.0
+
 PARAMETERS = (
     Parameter("mfpcc.update", "linear", "How mfpcc keeps its table", choices=_UPDATES),
     Parameter(
         "mfpcc.u_min",
-        20.0,
-        "Smallest change of the voltage from which mfpcc learns a gain (mfpcc.update: linear)",
+        0.0,
+        "Smallest change of the voltage from which mfpcc learns a gain (mfpcc.update: linear); "
+        "0: 6.4 % of the DC link's (20 V of 311 V)",
         unit="V",
         minimum=0.0,
         maximum=1e3,
@@ -92,7 +96,7 @@ def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
     """Take over how the table is kept."""
     own = cfg["mfpcc"]
     own["update"] = _UPDATES.index(values["mfpcc.update"])
-    own["u_min"] = values["mfpcc.u_min"]
+    own["u_min"] = values["mfpcc.u_min"] or _U_MIN * cfg["u_dc"]
     own["refresh"] = values["mfpcc.refresh"]
 
 
@@ -211,7 +215,7 @@ def step(cfg, mem):
     update(cfg, mem)
     g = mem.mfpcc.g
     i_1 = predict(mem, g)
-    wish = mem.i_dq_ref - i_1
+    wish = search.correction(cfg, mem, i_1)
     best, best_cost = 0, np.inf
     for j in range(7):
         cost = square(wish - g[j])

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from mfpcc_controller import search
 from mfpcc_controller.diagnostics import show_gradients, show_shares
 from mfpcc_controller.schemes.built_in import BuiltIn
 from mfpcc_controller.schemes.mfpcc import MEMORY, initialise, predict, update_linear
@@ -24,11 +25,15 @@ from mfpcc_controller.vectors import scaled, set_output, square
 from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 
+# Smallest change of the voltage, over that of the DC link, where the parameter leaves it open
+_U_MIN = 50.0 / 311.0
+
 PARAMETERS = (
     Parameter(
         "mfpcc_two_vector.u_min",
-        50.0,
-        "Smallest change of the voltage from which mfpcc_two_vector learns a gain",
+        0.0,
+        "Smallest change of the voltage from which mfpcc_two_vector learns a gain; 0: 16 % of the "
+        "DC link's (50 V of 311 V)",
         unit="V",
         minimum=0.0,
         maximum=1e3,
@@ -40,7 +45,8 @@ CFG = np.dtype([("u_min", np.float64)], align=True)  # (V)
 
 def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
     """Take over the smallest voltage change."""
-    cfg["mfpcc_two_vector"]["u_min"] = values["mfpcc_two_vector.u_min"]
+    u_min = values["mfpcc_two_vector.u_min"] or _U_MIN * cfg["u_dc"]
+    cfg["mfpcc_two_vector"]["u_min"] = u_min
 
 
 @kernel
@@ -55,7 +61,7 @@ def step(cfg, mem):
         lut.history = False
     g = lut.g
     i_1 = predict(mem, g)
-    x = mem.i_dq_ref - i_1 - g[0]
+    x = search.correction(cfg, mem, i_1) - g[0]
     best, best_d, best_cost = 0, 0.0, square(x)
     for j in range(1, 7):
         G_j = g[j] - g[0]
@@ -87,4 +93,5 @@ SCHEME = BuiltIn(
     cfg=CFG,
     configure=configure,
     memory=MEMORY,
+    gain=0.7,
 )

@@ -437,9 +437,10 @@ def step(cfg, mem):
     # where the current ends when what is under way has arrived, and from there to the reference
     i_d = i_1.real + d[2] * late_d + d[3] * late_q
     i_q = i_1.imag + q[2] * late_d + q[3] * late_q
+    to_go = search.correction(cfg, mem, complex(i_d, i_q))
     wish = complex(
-        mem.i_dq_ref.real - i_d - own_d - f_dd * i_d - f_dq * i_q,
-        mem.i_dq_ref.imag - i_q - own_q - f_qd * i_d - f_qq * i_q,
+        to_go.real - own_d - f_dd * i_d - f_dq * i_q,
+        to_go.imag - own_q - f_qd * i_d - f_qq * i_q,
     )
     lut.g_0 = complex(g_d, g_q)
     lut.m_d = complex(own.per_u * b_dd, own.per_u * b_qd)

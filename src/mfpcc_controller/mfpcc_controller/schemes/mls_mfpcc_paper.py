@@ -272,7 +272,7 @@ def step(cfg, mem):
         _learn(cfg, mem)
     g = lut.g
     i_1 = mem.i_dq + g[0] + _forced(g, mem.now) * mem.turn_now
-    x = mem.i_dq_ref - i_1 - g[0]
+    x = search.correction(cfg, mem, i_1) - g[0]
     a, b, d_a, d_b = search.by_ranking(x, g[1] * mem.turn_next, g[2] * mem.turn_next)
     total = d_a + d_b
     if total > 1.0:

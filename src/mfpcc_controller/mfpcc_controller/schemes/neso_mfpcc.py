@@ -26,8 +26,8 @@ from mfpcc_controller.vectors import scaled
 from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 
-# alpha = 1/2, so that the power is a root
-_DELTA = 0.1  # (A)
+# Over the current limit; alpha = 1/2, so that the power is a root
+_DELTA = 0.1 / 12.0
 
 PARAMETERS = (
     Parameter(
@@ -40,7 +40,13 @@ PARAMETERS = (
     ),
 )
 
-CFG = np.dtype([("w_o", np.float64)], align=True)  # (rad/s)
+CFG = np.dtype(
+    [
+        ("w_o", np.float64),  # (rad/s)
+        ("delta", np.float64),  # (A)
+    ],
+    align=True,
+)
 
 MEMORY = np.dtype(
     [
@@ -54,21 +60,24 @@ MEMORY = np.dtype(
 
 def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
     """Take over the bandwidth."""
-    cfg["neso_mfpcc"]["w_o"] = values["neso.bandwidth"]
+    own = cfg["neso_mfpcc"]
+    own["w_o"] = values["neso.bandwidth"]
+    own["delta"] = _DELTA * cfg["i_max"]
 
 
 @kernel
-def _fal(x):
+def _fal(x, delta):
     size = abs(x)
-    if size <= _DELTA:
+    if size <= delta:
         return x
-    return math.copysign(math.sqrt(_DELTA * size), x)
+    return math.copysign(math.sqrt(delta * size), x)
 
 
 @kernel
 def step(cfg, mem):
     """Observe, predict sample k + 1 with the committed output, reach the reference at k + 2."""
-    eso, w_o, T_s = mem.neso_mfpcc, cfg.neso_mfpcc.w_o, cfg.T_s
+    eso, T_s = mem.neso_mfpcc, cfg.T_s
+    w_o, delta = cfg.neso_mfpcc.w_o, cfg.neso_mfpcc.delta
     h = model.predict(cfg, mem) - mem.i_dq
     if not (eso.ready and mem.contiguous and mem.kept):
         # start from what the model missed in the last increment
@@ -82,11 +91,11 @@ def step(cfg, mem):
     err = eso.z_1 - mem.i_dq
     z_2 = eso.z_2
     eso.z_1 += h + scaled(T_s, z_2 - scaled(2.0 * w_o, err))
-    eso.z_2 = z_2 - scaled(T_s * w_o * w_o, complex(_fal(err.real), _fal(err.imag)))
+    eso.z_2 = z_2 - scaled(T_s * w_o * w_o, complex(_fal(err.real, delta), _fal(err.imag, delta)))
 
     unknown = scaled(T_s, eso.z_2)
     i_1 = mem.i_dq + h + unknown
-    x = mem.i_dq_ref - i_1 - model.natural(cfg, mem.w_m, i_1) - unknown
+    x = search.correction(cfg, mem, i_1) - model.natural(cfg, mem.w_m, i_1) - unknown
     G_1, G_2 = model.forced_vectors(cfg, mem.u_dc, mem.turn_next)
     search.choose(cfg, x, G_1, G_2, mem.next)
     mem.i_hat = i_1
@@ -110,4 +119,5 @@ SCHEME = BuiltIn(
     cfg=CFG,
     configure=configure,
     memory=MEMORY,
+    gain=0.24,
 )

@@ -21,11 +21,15 @@ from mfpcc_controller.vectors import ACTIVE_LENGTH, next_vector, scaled
 from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 
+# Bandwidth over PWM frequency, at most: the delay of 1.5 periods leaves it stable, with an
+# inductance that is twice the true one as well.
+_FASTEST = 0.2
+
 PARAMETERS = (
     Parameter(
         "pi.bandwidth",
-        2_000.0,
-        "Bandwidth of the current control of pi_foc",
+        908.0,
+        "Bandwidth of the current control of pi_foc; never more than a fifth of the PWM frequency",
         unit="rad/s",
         minimum=1.0,
         maximum=20_000.0,
@@ -44,8 +48,8 @@ MEMORY = np.dtype(
 
 
 def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
-    """Take over the bandwidth."""
-    cfg["pi_foc"]["alpha"] = values["pi.bandwidth"]
+    """Take over the bandwidth, as far as the delay allows."""
+    cfg["pi_foc"]["alpha"] = min(values["pi.bandwidth"], _FASTEST / cfg["T_s"])
 
 
 @kernel

@@ -62,7 +62,7 @@ def reach(cfg, mem, unknown):
     """
     u_now = scaled(mem.u_dc, mem.now.u * mem.turn_now)
     i_1 = mem.i_dq + unknown + model.forced(cfg, u_now)
-    x = mem.i_dq_ref - i_1 - unknown
+    x = search.correction(cfg, mem, i_1) - unknown
     G_1, G_2 = model.forced_vectors(cfg, mem.u_dc, mem.turn_next)
     search.choose(cfg, x, G_1, G_2, mem.next)
     mem.i_hat = i_1
@@ -121,4 +121,5 @@ SCHEME = BuiltIn(
     cfg=CFG,
     configure=configure,
     memory=MEMORY,
+    gain=0.24,
 )

@@ -26,21 +26,29 @@ from mfpcc_controller.vectors import scaled
 from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 
+# Where the parameters leave them open: width over the current limit, and strength over width (1/s)
+_WIDTH = 1.0 / 12.0
+_RATE = 2_000.0
+# Strength over width and over the PWM frequency, at most: 2 is the edge of stability
+_FASTEST = 0.2
+
 PARAMETERS = (
     Parameter(
         "smo.gain",
-        2_000.0,
-        "Strength of the observer of ultra_local_smo",
+        0.0,
+        "Strength of the observer of ultra_local_smo; 0: 2000 times 'smo.width' in a second, but "
+        "at most a fifth of it in a PWM period",
         unit="A/s",
-        minimum=1.0,
+        minimum=0.0,
         maximum=1e6,
     ),
     Parameter(
         "smo.width",
-        1.0,
-        "Error of the observer of ultra_local_smo up to which it is linear (boundary layer)",
+        0.0,
+        "Error of the observer of ultra_local_smo up to which it is linear (boundary layer); 0: a "
+        "twelfth of the motor's current limit",
         unit="A",
-        minimum=1e-3,
+        minimum=0.0,
         maximum=1e3,
     ),
 )
@@ -57,8 +65,9 @@ CFG = np.dtype(
 def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
     """Take over strength and width."""
     own = cfg["ultra_local_smo"]
-    own["k"] = values["smo.gain"]
-    own["width"] = values["smo.width"]
+    own["width"] = values["smo.width"] or _WIDTH * cfg["i_max"]
+    rate = min(_RATE, _FASTEST / cfg["T_s"])
+    own["k"] = values["smo.gain"] or rate * own["width"]
 
 
 @kernel
@@ -94,4 +103,5 @@ SCHEME = BuiltIn(
     cfg=CFG,
     configure=configure,
     memory=MEMORY,
+    gain=0.24,
 )

@@ -113,12 +113,10 @@ REALITY: dict[str, dict[str, Any]] = {
         "controller": {"pwm_frequency": 40e3},
     },
 }
-SLOWER_PI = {"pi.bandwidth": 908.0}
 
 
 def real_run(scheme: str, case: str, seed: int, oversampling: int = 0) -> Run:
     """A steady run of 0.4 s with one piece of reality."""
     options = dict(REALITY[case])
     options["plant"] = {**ENCODER, **options.get("plant", {})}
-    controller = {**options.pop("controller", {}), **(SLOWER_PI if scheme == "pi_foc" else {})}
-    return run(scheme, 0.4, seed=seed, oversampling=oversampling, controller=controller, **options)
+    return run(scheme, 0.4, seed=seed, oversampling=oversampling, **options)

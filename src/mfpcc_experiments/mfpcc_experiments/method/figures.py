@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_experiments.measuring import scheme_title
 from mfpcc_experiments.method.drives import ENCODER, LOAD_STEP, MISMATCH, wrong_model
+from mfpcc_experiments.method.fronts import points
 from mfpcc_experiments.reporting import COLOURS, REFERENCE
 from mfpcc_experiments.running.closed_loop import Run, run
 from pwm_node.units import RPM
@@ -250,6 +251,7 @@ def figure_weakening() -> Figure:
     axes[1].plot(time, np.hypot(*r.lut["i_dq"].T), color=COLOURS[2], label="amplitude")
     axes[1].axhline(r.controller.motor.i_max, color=REFERENCE, lw=0.6, ls="--")
     axes[1].set_ylabel("A")
+    axes[1].set_ylim(bottom=-30.0)
     axes[1].legend(ncols=3, loc="lower right")
     duty = r.command["duty"]
     u = np.abs(2.0 / 3.0 * (duty @ np.exp(2j * np.pi / 3.0 * np.arange(3))))
@@ -257,6 +259,33 @@ def figure_weakening() -> Figure:
     axes[2].axhline(1.0 / np.sqrt(3.0), color=REFERENCE, lw=0.6, ls="--")
     axes[2].set_ylabel("$|u| / u_{dc}$")
     axes[-1].set_xlabel("time (ms)")
+    return figure
+
+
+def figure_fronts() -> Figure:
+    """Speed of response against distortion, and against survival."""
+    figure = Figure(figsize=(6.6, 3.4), layout="constrained")
+    thd, survived = figure.subplots(1, 2, sharex=True)
+    for scheme, colour, marker in zip(SCHEMES, COLOURS * 2, "oooooo^^^^", strict=False):
+        line = [p for p in points() if p.scheme == scheme and np.isfinite(p.periods)]
+        if not line:
+            continue
+        look: dict[str, Any] = {"color": colour, "marker": marker, "lw": 0.8}
+        periods = [p.periods for p in line]
+        thd.plot(periods, [100.0 * p.thd for p in line], ms=3.0, label=scheme, **look)
+        survived.plot(periods, [100.0 * p.survived[0] for p in line], ms=3.0, **look)
+        own = [p for p in line if p.own]
+        thd.plot([p.periods for p in own], [100.0 * p.thd for p in own], ms=7.0, **look)
+        shares = [100.0 * p.survived[0] for p in own]
+        survived.plot([p.periods for p in own], shares, ms=7.0, **look)
+    for axes in (thd, survived):
+        axes.set_xscale("log")
+        axes.set_xticks([6, 10, 20, 40], ["6", "10", "20", "40"])
+        axes.minorticks_off()
+        axes.set_xlabel("step within 0.2 A (periods)")
+    thd.set_ylabel("THD (%), 750 r/min, 2 N m")
+    survived.set_ylabel("wrong models that settle (%)")
+    thd.legend(fontsize=6.5)
     return figure
 
 
@@ -286,6 +315,7 @@ def figure_steps() -> Figure:
 
 FIGURES: dict[str, Callable[[], Figure]] = {
     "learning": figure_learning,
+    "fronts": figure_fronts,
     "steps": figure_steps,
     "standstill": figure_standstill,
     "reversal": figure_reversal,

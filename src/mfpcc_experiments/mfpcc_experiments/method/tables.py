@@ -15,17 +15,14 @@ from mfpcc_experiments.method.drives import (
     LOAD_STEP,
     MISMATCH,
     REALITY,
-    SLOWER_PI,
     dirty_drive,
-    random_drive,
     real_run,
-    settled,
     wrong_model,
 )
+from mfpcc_experiments.method.fronts import RIPPLE_LIMITS, points
 from mfpcc_experiments.running.closed_loop import Array, Run, run
 from mfpcc_experiments.running.engine import step_time
 
-DRAWS = 1000
 DIRTY_DRAWS = 120
 SEEDS = range(1, 11)
 
@@ -105,23 +102,30 @@ def mismatch() -> Rows:
     return rows
 
 
-def survival() -> Rows:
-    """Random wrong models: how many drives keep their limit and settle."""
-    rows = [["scheme", "settled", "largest current, median (A)", "largest of all (A)"]]
-    for scheme in SCHEMES:
-        # what a scheme has in any case is not held against it
-        own = run(scheme, 0.4, plant=ENCODER).ripple(0.2).max()
-        good, largest = 0, []
-        for seed in range(DRAWS):
-            r = run(scheme, 0.25, **random_drive(seed))
-            good += settled(r, max(0.6, 1.5 * own))
-            largest.append(r.largest_current())
+def fronts() -> Rows:
+    """Speed of response against distortion against survival, at every choice."""
+    limits = [f"settled, ripple below {limit:g} A" for limit in RIPPLE_LIMITS]
+    rows = [
+        [
+            "scheme",
+            "`deadbeat.gain`, or `pi.bandwidth` (rad/s)",
+            "step within 0.2 A (periods)",
+            "THD (%)",
+            "ripple (A)",
+            *limits,
+            "largest current (A)",
+        ]
+    ]
+    for p in points():
         rows.append(
             [
-                f"`{scheme}`",
-                f"{100.0 * good / DRAWS:.1f} %",
-                f"{np.median(largest):.1f}",
-                f"{np.max(largest):.1f}",
+                f"`{p.scheme}`",
+                f"**{p.choice}**" if p.own else p.choice,
+                f"{p.periods:.0f}" if np.isfinite(p.periods) else "never",
+                f"{100.0 * p.thd:.2f}",
+                f"{p.ripple:.2f}",
+                *(f"{100.0 * x:.1f} %" for x in p.survived),
+                f"{p.largest:.1f}",
             ]
         )
     return rows
@@ -224,10 +228,7 @@ def dirty() -> Rows:
     def errors(scheme: str, wrong: bool) -> tuple[list[bool], Array]:
         good, rms = [], []
         for case in cases:
-            controller = dict(case["controller"]) if wrong else {}
-            if scheme == "pi_foc":
-                controller |= SLOWER_PI
-            r = run(scheme, 0.3, **{**case, "controller": controller})
+            r = run(scheme, 0.3, **(case if wrong else {**case, "controller": {}}))
             good.append(r.controller.faults() == [] and bool(r.ripple(0.2).max() < 0.9))
             rms.append(np.sqrt(np.mean(r.error(0.2) ** 2)))
         return good, np.array(rms)
@@ -271,7 +272,7 @@ TABLES: dict[str, Callable[[], Rows]] = {
     "steady": steady,
     "ripple": ripple_and_error,
     "wrong_models": mismatch,
-    "survival": survival,
+    "fronts": fronts,
     "motors": motors,
     "sectors": sector_search,
     "reality": reality,

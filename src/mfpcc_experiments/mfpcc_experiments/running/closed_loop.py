@@ -143,6 +143,7 @@ def run(
                 "motor": motor,
                 "scheme": scheme,
                 "speed_ref_rpm": rpm,
+                "load.inertia": (plant or {}).get("load.inertia", 0.0),
                 "schedule": [entry for entry in entries if entry not in of_plant],
                 **(controller or {}),
             }

@@ -36,6 +36,9 @@ _ELSEWHERE = {
     "recorders": "is set by what records",
 }
 
+# A parameter of the plant that the controller is told as well, unless its section says otherwise.
+_TOLD = "load.inertia"
+
 # Keys of the file that are no section: what may be said otherwise with `changed`.
 _KEYS = ("motor", "pwm_frequency", "speed_rpm", "duration", "window_s")
 
@@ -62,7 +65,7 @@ def _resolve(name: str, beside: Iterable[str] = ()) -> tuple[str, str]:
             raise ValueError(_TABLES[part].unknown(rest).reason)
         return part, rest
     parts = [part for part, table in _TABLES.items() if name in table]
-    if len(parts) > 1 and name not in _ELSEWHERE:
+    if len(parts) > 1 and name not in (*_ELSEWHERE, _TOLD):
         raise ValueError(
             f"both nodes have a parameter '{name}': say which one is meant, "
             + " or ".join(f"'{part}.{name}'" for part in parts)
@@ -225,6 +228,7 @@ class Scenario(BaseModel):
         controller = {
             "speed_ref_rpm": self.speed_rpm,
             **in_lock_step,
+            _TOLD: plant[_TOLD],
             **self.controller,
             **both,
             "scheme": scheme,
