@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from mfpcc_controller import stall
 from mfpcc_controller.motor import EstimatedPars
 from mfpcc_controller.observer import wrapped
 from mfpcc_controller.vectors import scaled, square
@@ -199,8 +200,6 @@ _OVERSPEED_TIME = 2e-3
 # So far (rad), and two steps of the encoder, must the rotor have turned while that stood still: one
 # may pass without being seen where it turns back, one is the observer's delay.
 _FROZEN = 0.05
-# Share of the time without progress in which all the torque was asked for, from which it stalls
-_STALL_SHARE = 0.2
 # Powers of both signs, over the largest that voltage and current limit make (seed_750: 10 W)
 _SPINOUT_POWER = 3e-3
 # Dead time that an inverter may have (s), and voltage that it may lose besides, over u_dc. Dead
@@ -248,14 +247,7 @@ MEMORY = np.dtype(
         ("step", np.float64),  # smallest of its steps so far (rad)
         ("unseen", np.float64),  # turned by the estimated speed since the encoder last moved (rad)
         ("fast", np.float64),  # time at overspeed (s)
-        # since the reference has its sign, at most for the time that makes a stall
-        ("ahead", np.float64),  # the sign
-        ("motion_time", np.float64),  # (s)
-        ("limited_time", np.float64),  # of it, at the limit of the torque (s)
-        ("way", np.float64),  # turned ahead (rad, electrical)
-        ("w_before", np.float64),  # speed ahead at the beginning (rad/s, electrical)
-        ("went", np.bool_),  # has been on its way, and after that on its way back
-        ("turned_back", np.bool_),
+        ("motion", stall.MEMORY),
         ("electrical", np.float64),  # filtered powers (W)
         ("mechanical", np.float64),
         ("wrong", np.float64),  # time with bad predictions (s)
@@ -394,40 +386,6 @@ def _watch_power(cfg, mem):
 
 
 @kernel
-def _watch_motion(cfg, mem):
-    """A rotor that makes no way towards its reference, or turns back, with all the torque there is.
-
-    With a wrong number of pole pairs it stands, swings, or runs the other way.
-    """
-    guard, rest = mem.guard, cfg.w_rest
-    ahead = math.copysign(1.0, cfg.w_M_ref)
-    if not cfg.speed_control or abs(cfg.w_M_ref) * cfg.n_p <= rest or ahead != guard.ahead:
-        guard.ahead = ahead
-        guard.motion_time = 0.0
-        return
-    w = ahead * mem.w_m
-    if guard.motion_time == 0.0:
-        guard.limited_time = 0.0
-        guard.way = 0.0
-        guard.w_before = w
-        guard.went = False
-        guard.turned_back = False
-    guard.motion_time += cfg.T_s
-    guard.way += cfg.T_s * w
-    guard.went |= w > rest
-    guard.turned_back |= guard.went and w < -rest
-    if mem.torque_limited:
-        guard.limited_time += cfg.T_s
-    if guard.motion_time < cfg.stall_time:
-        return
-    moves = guard.way > rest * guard.motion_time or w - guard.w_before > rest
-    limited = guard.limited_time > _STALL_SHARE * guard.motion_time
-    if limited and (guard.turned_back or not moves):
-        trip(cfg, mem, STALL, guard.motion_time)
-    guard.motion_time = 0.0
-
-
-@kernel
 def watch(cfg, mem, fb):
     """Judge the drive by a sample that was accepted, after the observer has taken it."""
     guard = mem.guard
@@ -448,9 +406,10 @@ def watch(cfg, mem, fb):
             trip(cfg, mem, OVERSPEED, mem.w_m / cfg.n_p)
     if mem.past.on and mem.consecutive:
         _watch_power(cfg, mem)
-        _watch_motion(cfg, mem)
+        if stall.stalled(cfg, mem, guard.motion):
+            trip(cfg, mem, STALL, cfg.stall_time)
     else:
-        guard.motion_time = 0.0
+        guard.motion.time = 0.0
         guard.electrical = 0.0
         guard.mechanical = 0.0
 

@@ -431,7 +431,8 @@ def test_switching_makes_no_bump(scheme, own_ripple):
         r = run(scheme, 0.23, plant=ENCODER, schedule=[f"0.2 scheme {other}"])
         assert set(r.controller.mem["fallen"]) == {False}
         disturbed = np.ptp(r.error(0.2), axis=0)
-        allowed = 2.0 * np.maximum(own_ripple[scheme], own_ripple[other])
+        # a slow scheme needs a while to forget the noise of the samples that it starts from
+        allowed = 2.5 * np.maximum(own_ripple[scheme], own_ripple[other])
         assert np.all(disturbed <= allowed), other
 
 

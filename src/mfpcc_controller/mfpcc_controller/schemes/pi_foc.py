@@ -70,9 +70,18 @@ def step(cfg, mem):
     )
     proportional = _per_axis(k_d, k_q, error)
     if not (pi.ready and mem.kept and mem.contiguous):
-        # go on with the voltage that is being applied
-        u_now = scaled(mem.u_dc, mem.now.u * mem.turn_now)
-        pi.integral = u_now - known - proportional
+        if mem.contiguous and max(mem.now.d_a, 1.0 - mem.now.d_a - mem.now.d_b) == 1.0:
+            # a single vector holds no current: the model, and what it missed in the last increment
+            u_past = scaled(mem.u_dc, mem.past.u * mem.turn_past)
+            h = model.natural(cfg, mem.w_m, mem.i_dq_past) + model.forced(cfg, u_past)
+            missed = mem.i_dq_past + h - mem.i_dq
+            pi.integral = _per_axis(k_d, k_q, i_dq) + _per_axis(
+                1.0 / cfg.b_d, 1.0 / cfg.b_q, missed
+            )
+        else:
+            # go on with the voltage that is being applied
+            u_now = scaled(mem.u_dc, mem.now.u * mem.turn_now)
+            pi.integral = u_now - known - proportional
         pi.ready = True
     wish = proportional + pi.integral + known
     u_1 = scaled(ACTIVE_LENGTH * mem.u_dc, mem.turn_next)
