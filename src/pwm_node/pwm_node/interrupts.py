@@ -49,7 +49,7 @@ class _State:
 _state = _State()
 
 
-def run(target: str, *, line: str = "", code: int | None = None) -> NoReturn:
+def run(target: str, *, line: str = "", code: int | None = None, node: bool = False) -> NoReturn:
     """Import a function and end the process with what it returns.
 
     Parameters
@@ -60,6 +60,9 @@ def run(target: str, *, line: str = "", code: int | None = None) -> NoReturn:
         What is said where a signal ends the process.
     code : int, optional
         Exit code of such an end; without it, that by which shells know it: 130 for Ctrl-C.
+    node : bool
+        Whether it is a node. What keeps ROS from starting is said before anything imports rclpy,
+        which ends the process from within.
     """
     _state.watching, _state.line, _state.code = True, line, code
     for kind in KINDS:
@@ -72,12 +75,24 @@ def run(target: str, *, line: str = "", code: int | None = None) -> NoReturn:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     module, _, name = target.partition(":")
     try:
+        if node:
+            _check_ros()
         result = getattr(importlib.import_module(module), name)()
     except KeyboardInterrupt:
         _end()
     for kind in KINDS:
         signal.signal(kind, signal.SIG_IGN)  # all is done; it only takes Python a while to leave
     sys.exit(result)
+
+
+def _check_ros() -> None:
+    """End here, with one plain line, if ROS cannot start."""
+    from pwm_node.ros import ros_environment
+
+    try:
+        ros_environment.check()
+    except ros_environment.RosError as error:
+        sys.exit(f"error: {error}")
 
 
 @contextlib.contextmanager

@@ -1,6 +1,9 @@
 """What is wrong before ROS starts is said in plain words."""
 
 import os
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -69,3 +72,26 @@ def test_no_place_for_the_logs():
         "at /project/src/rcl_logging_spdlog.cpp:154"
     )
     assert ros_environment.plain(text).startswith("/x/.ros/log: the folder of ROS's logs cannot be")
+
+
+EXECUTABLES = sorted(Path(__file__).resolve().parents[2].glob("*/bin/*"))
+
+
+@pytest.mark.parametrize("path", EXECUTABLES, ids=lambda path: path.name)
+def test_an_executable_says_in_one_line_that_there_is_no_such_middleware(path):
+    """Importing rclpy would end the process, with a line of its C sources."""
+    environment = {**os.environ, "RMW_IMPLEMENTATION": "rmw_x"}
+    process = subprocess.run(
+        [sys.executable, path, *(["--version"] if path.name == "mfpcc" else [])],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    if path.name == "mfpcc":  # a verb that needs no ROS does not mind
+        assert (process.returncode, process.stderr) == (0, "")
+        return
+    assert process.returncode == 1
+    assert process.stderr.startswith("error: RMW_IMPLEMENTATION=rmw_x: there is no such middleware")
+    assert process.stderr.count("\n") == 1 and process.stdout == ""
