@@ -214,7 +214,7 @@ def run(
     return Result(found)
 
 
-def load(bag: str | Path) -> Result:
+def load(bag: str | Path, *, namespace: str | None = None) -> Result:
     """
     Load a recording.
 
@@ -222,10 +222,12 @@ def load(bag: str | Path) -> Result:
     ----------
     bag : str or Path
         Folder of a bag, or one of its files.
+    namespace : str, optional
+        Which axis, of a recording that holds several (``/axis1``).
 
     Raises
     ------
     pwm_node.errors.ForPeople
         If it cannot be used; the sentence says why and what to do.
     """
-    return Result(bags.read(Path(bag)))
+    return Result(bags.read(Path(bag), namespace=namespace))

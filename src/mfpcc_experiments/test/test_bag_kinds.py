@@ -449,6 +449,29 @@ def test_an_axis_that_is_not_there(tmp_path: Path) -> None:
         recording.read(path, namespace="axis7")
 
 
+def test_one_of_several_axes_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is mixed: without a choice it is asked for, in every verb that reads a bag."""
+    first = bag_kinds.write(tmp_path / "a", [MESSAGES], Kind(namespace="/axis1/"))
+    alone = recording.read(first).command
+    other = [(topic, at, data) for topic, at, data in MESSAGES if int(at) > MESSAGES[-1][1] // 2]
+    bag_kinds.write(tmp_path / "b", [other], Kind(namespace="/axis2/", name="b"))
+    both = tmp_path / "both"
+    both.mkdir()
+    for folder in ("a", "b"):
+        for file in (tmp_path / folder).glob("*.mcap"):
+            shutil.copy(file, both / f"both_{'ab'.index(folder)}.mcap")
+    sentence = "holds several axes: /axis1, /axis2; choose one with --namespace"
+    for line in (f"compare {both}", f"replay {both}", f"export {both} --format csv"):
+        out = ["--out", str(tmp_path / "out")]
+        assert cli.run([*line.split(), *out]) == 1
+        assert sentence in capsys.readouterr().err
+    assert np.array_equal(recording.read(both, namespace="/axis1").command, alone)
+    line = ["compare", str(both), "--namespace", "axis1", "--out", str(tmp_path / "out")]
+    assert cli.run(line) == 0
+    (row,) = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert row["periods"] == len(alone)
+
+
 def test_time_stamps_of_a_coarse_clock(tmp_path: Path) -> None:
     coarse = [
         (topic, time, data[:4] + struct.pack("<iI", 0, time // 160_000 * 160_000) + data[12:])

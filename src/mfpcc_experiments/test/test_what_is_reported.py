@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from mfpcc_controller import plug_in
 from mfpcc_controller.parameters import TABLE, Parameter
 from mfpcc_experiments import cli, notes
-from mfpcc_experiments.bags import recording
+from mfpcc_experiments.bags import LOOP_TOPICS, recording, status
+from mfpcc_experiments.bags.definitions import message_definition
 from mfpcc_experiments.measuring import metrics, window
 from mfpcc_experiments.measuring.measured import Measured
 from mfpcc_experiments.measuring.signals import signals
@@ -130,6 +133,79 @@ def test_every_verb_says_the_same_words(
         page = html.unescape(re.sub(r"<[^>]*>", "", (folder / "report.html").read_text()))
         assert failure in page and label in page
     assert said == {failure}
+
+
+def as_others_record(ours: Path, path: Path, *, lut: bool) -> Path:
+    """The messages of a recording, with `drive_status` as the nodes publish it, and no more."""
+    serialization = pytest.importorskip("rclpy.serialization")
+    from mfpcc_msgs.msg import DriveFault, DriveStatus
+
+    found = recording.read(ours)
+    faults = found.summary["faults"]
+    moments = {0, *np.flatnonzero(found.scheme[1:] != found.scheme[:-1]) + 1}
+    moments |= {fault["period"] for fault in faults}
+    path.mkdir()
+    with (
+        open(path / "theirs_0.mcap", "wb") as file,
+        open(ours / f"{ours.name}_0.mcap", "rb") as old,
+    ):
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        channels = {}
+        for topic, kind in {**LOOP_TOPICS, status.TOPIC: status.TYPE}.items():
+            schema = writer.register_schema(kind, "ros2msg", message_definition(kind).encode())
+            channels["/" + topic] = writer.register_channel("/" + topic, "cdr", schema)
+        for _, channel, message in make_reader(old).iter_messages(topics=list(channels)):
+            if lut or channel.topic != "/lut_diagnostics":
+                writer.add_message(
+                    channels[channel.topic], message.log_time, message.data, message.log_time
+                )
+        for period in sorted(moments):
+            for node in ("pmsm_sim", "mfpcc_controller"):
+                said = DriveStatus(node=node, period=int(period), state="running", enabled=True)
+                if node == "mfpcc_controller":
+                    said.scheme = str(found.scheme[period])
+                said.faults = [
+                    DriveFault(code=f["code"], detail=f["detail"], period=f["period"])
+                    for f in faults
+                    if f["node"] == node and f["period"] <= period
+                ]
+                at = int(period) * 100_000
+                writer.add_message(
+                    channels["/" + status.TOPIC], at, serialization.serialize_message(said), at
+                )
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("lut", [True, False])
+@pytest.mark.parametrize("event", ["fallback", "trip", "switch", "switch and fallback"])
+def test_a_recording_of_others_has_the_same_labels_and_notes(
+    event: str, lut: bool, slow_deadbeat: str, tmp_path: Path
+) -> None:
+    scheme = slow_deadbeat if event == "fallback" else "mls_mfpcc"
+    schedule = {
+        "trip": "{at: 0.08, plant.fault.overcurrent: 0.1}",
+        "switch": "{at: 0.08, scheme: mbpcc}",
+        "switch and fallback": "{at: 0.03, scheme: slow_deadbeat}",
+    }.get(event, "")
+    wanted = scenario.load(written(tmp_path, schedule=schedule))
+    run.run(wanted, scheme, "inprocess", tmp_path, 1, lambda done: None)
+    ours = metrics.evaluate(recording.read(tmp_path / scheme))
+    found = recording.read(as_others_record(tmp_path / scheme, tmp_path / "theirs", lut=lut))
+    found.n_p = 4  # without `lut_diagnostics` nothing tells it
+    theirs = metrics.evaluate(found, ours["window_s"])
+    assert theirs["scheme"] == ours["scheme"]
+    assert texts(theirs, "failure") == texts(ours, "failure")
+    told = [text for text in texts(ours, "info") if "controlled from" in text]
+    assert [text for text in texts(theirs, "info") if "controlled from" in text] == told
+    assert notes.exit_code([theirs]) == notes.exit_code([ours])
+
+
+def test_a_status_that_is_no_status() -> None:
+    for data in (b"", b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + b"\xff" * 60, b"\x01" * 80):
+        with pytest.raises(status.StatusError):
+            status.parse(data, 0)
 
 
 def test_a_scheme_that_failed_lends_no_name_to_the_figures_of_another(

@@ -45,6 +45,8 @@ class Selection:
         Their period numbers.
     lost_periods : int
         Periods, within what was recorded, of which a message is missing.
+    span : tuple of float, or None
+        Log times between which the messages lie, if only one of several runs is used (ns).
     notes : list of Note
         What is left out, and what is missing.
     """
@@ -52,6 +54,7 @@ class Selection:
     rows: dict[str, Rows] = field(default_factory=dict)
     period: dict[str, _Array] = field(default_factory=dict)
     lost_periods: int = 0
+    span: tuple[float, float] | None = None
     notes: list[Note] = field(default_factory=list)
 
 
@@ -83,6 +86,7 @@ def select(
     rows = {name: _by_time(time[name]) for name in columns}
     first = rows["phase_feedback"]
     span = _run(period["phase_feedback"][first], time["phase_feedback"][first], path, found)
+    found.span = span
     for name, column in columns.items():
         if span is not None:
             rows[name] = _within(time[name], rows[name], span)

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfpcc_experiments.bags import status
 from mfpcc_experiments.bags.bag_parts import Parts, parts_of
 from mfpcc_experiments.bags.columns import column, layout_of
 from mfpcc_experiments.bags.completeness import select
@@ -29,6 +30,7 @@ from mfpcc_experiments.bags.errors import BagError
 from mfpcc_experiments.bags.layouts import TAKEN_AS_ON, Layout
 from mfpcc_experiments.bags.mcap_file import Topic
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD
+from mfpcc_experiments.bags.status import Status, StatusError
 from mfpcc_experiments.bags.storage import Batch, Counts, Entry, contents
 from mfpcc_experiments.bags.topics import LOOP_TOPICS
 from mfpcc_experiments.notes import Note, info, warning
@@ -67,6 +69,8 @@ class Recording:
         Pole pairs, None where neither stored nor to be told from the topics.
     lost_periods : int
         Periods of which a message is missing.
+    statuses : list of Status
+        What the nodes said of themselves, where ``drive_status`` was recorded.
     notes : list of Note
         What is not as it should be with the file.
     """
@@ -84,6 +88,7 @@ class Recording:
     T_s: float = 0.0
     n_p: int | None = None
     lost_periods: int = 0
+    statuses: list[Status] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
 
     @property
@@ -157,13 +162,22 @@ class _Collector:
         self._namespaces: set[str] = set()
         self._others: set[str] = set()
         self._layouts: dict[Topic, Layout | None] = {}
+        self._statuses: list[Status] = []
         self._columns = {name: column(name, path) for name in LOOP_TOPICS}
 
     def is_wanted(self, topic: Topic) -> bool:
         """Whether these messages are: those of the loop, of one axis."""
         if topic not in self._layouts:
             self._layouts[topic] = self._judge(topic)
-        return self._layouts[topic] is not None
+        return self._layouts[topic] is not None or self._is_status(topic)
+
+    def _is_status(self, topic: Topic) -> bool:
+        namespace, _, name = topic.name.rpartition("/")
+        return (name, topic.type_name, topic.encoding) == (
+            status.TOPIC,
+            status.TYPE,
+            "cdr",
+        ) and self._namespace in (None, namespace or "/")
 
     def _judge(self, topic: Topic) -> Layout | None:
         namespace, _, name = topic.name.rpartition("/")
@@ -191,6 +205,13 @@ class _Collector:
     def take(self, content: Batch | Entry | Counts, file: Path) -> None:
         """Take what `contents` found."""
         match content:
+            case Batch(topic, messages, log_time) if self._layouts[topic] is None:
+                for data, at in zip(messages, log_time.tolist(), strict=True):
+                    try:
+                        self._statuses.append(status.parse(data, at))
+                    except StatusError as error:
+                        text = f"a message of topic {topic.name} cannot be read: {error}"
+                        self._notes.append(warning(text))
             case Batch(topic, messages, log_time):
                 layout = self._layouts[topic]
                 assert layout is not None
@@ -217,7 +238,10 @@ class _Collector:
     def recording(self) -> Recording:
         if self._namespace is None and len(self._namespaces) > 1:
             names = ", ".join(sorted(self._namespaces))
-            raise BagError(f"{self.path}: holds several axes; choose one of {names}")
+            raise BagError(
+                f"{self.path}: holds several axes: {names}; choose one with --namespace, such as "
+                f"--namespace {min(self._namespaces)}"
+            )
         self._check_there()
         self._check_counts()
         if not self.config:
@@ -248,8 +272,15 @@ class _Collector:
             i_abc_oversampled=None if waves is None else waves[0],
             legs_oversampled=None if waves is None else waves[1],
             lost_periods=chosen.lost_periods,
+            statuses=[
+                said
+                for said in sorted(self._statuses, key=lambda said: said.log_time)
+                if chosen.span is None or chosen.span[0] < said.log_time < chosen.span[1]
+            ],
             notes=[*self._notes, *chosen.notes],
         )
+        if recording.statuses:
+            recording.summary.setdefault("faults", status.latched(recording.statuses))
         _complete(recording)
         return recording
 

@@ -279,13 +279,13 @@ def history(recording: Recording) -> History:
     recording : Recording
         From `recording.read`.
     """
-    changed = changes(recording)
+    changed, faults = changes(recording), _faults(recording)
     return History(
         T_s=recording.T_s,
         last=int(recording.feedback["period"][-1]),
-        reigns=_reigns(recording, changed),
+        reigns=_reigns(recording, changed, faults),
         offs=_offs(recording),
-        faults=_faults(recording),
+        faults=faults,
         changes=changed,
     )
 
@@ -325,14 +325,19 @@ def value_at(
     return value
 
 
-def _reigns(recording: Recording, changed: Sequence[Change]) -> tuple[Reign, ...]:
+def _reigns(
+    recording: Recording, changed: Sequence[Change], faults: Sequence[Fault]
+) -> tuple[Reign, ...]:
     """Who answered the samples, and who had been chosen to."""
-    began_with = recording.config.get("scheme")
-    choices = [(0, began_with if isinstance(began_with, str) else None)]
-    choices += [(c.period, c.value) for c in changed if c.name == "scheme"]
     last = int(recording.feedback["period"][-1])
-    period = recording.lut["period"].astype(np.int64)
-    names = recording.scheme
+    period, names = _controlled(recording)
+    began_with = recording.config.get("scheme")
+    choices: list[tuple[int, str | None]]
+    if isinstance(began_with, str):
+        choices = [(0, began_with)]
+        choices += [(c.period, c.value) for c in changed if c.name == "scheme"]
+    else:
+        choices = _choices(period, names, faults)
     if not len(period):
         # nothing tells but what was chosen
         ends = [begin for begin, _ in choices[1:]] + [last + 1]
@@ -360,6 +365,40 @@ def _reigns(recording: Recording, changed: Sequence[Change]) -> tuple[Reign, ...
             begin = found.pop().begin
         found.append(Reign(begin, end, scheme, chosen))
     return tuple(found)
+
+
+def _controlled(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.str_]]:
+    """Periods, and who controlled in them: by `lut_diagnostics`, or else by `drive_status`."""
+    said = [status for status in recording.statuses if status.scheme]
+    if len(recording.lut) or not said:
+        return recording.lut["period"].astype(np.int64), recording.scheme
+    first = int(recording.feedback["period"][0])
+    return (
+        np.array([max(status.period, first) for status in said], np.int64),
+        np.array([status.scheme for status in said]),
+    )
+
+
+def _choices(
+    period: NDArray[np.int64], names: NDArray[np.str_], faults: Sequence[Fault]
+) -> list[tuple[int, str | None]]:
+    """
+    Who had been chosen, where no configuration tells: whoever came to control without a fault.
+
+    A scheme that takes over as another one fails is the fallback. Of one that had failed before
+    the recording began, nobody knows the name.
+    """
+    failed = [fault.period for fault in faults if fault.code in _OF_SCHEMES]
+    found: list[tuple[int, str | None]] = [(0, None)]
+    before = None
+    for at, name in zip(period.tolist(), names.tolist(), strict=True):
+        fell = any(at - _REACTION <= fault <= at for fault in failed)
+        if before is None and any(fault < at for fault in failed):
+            fell = True
+        if name != before and not fell:
+            found.append((at if before is not None else 0, name))
+        before = name
+    return found
 
 
 def gates(recording: Recording) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -23,6 +23,7 @@ def compare(
     out: Path,
     *,
     window_s: Sequence[float] | None = None,
+    namespace: str | None = None,
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """
@@ -36,6 +37,8 @@ def compare(
         Folder for ``metrics.json``, ``figures/`` and ``report.html``; made if it is missing.
     window_s : sequence of two floats, optional
         Evaluation window of all (s); default: the one stored in each recording, else all of it.
+    namespace : str, optional
+        Which axis, of recordings that hold several (``/axis1``).
     progress : callable, optional
         Told the share that is done, 0 to 1.
 
@@ -59,7 +62,7 @@ def compare(
         if progress is not None:
             progress(share)
 
-    runs = measure(paths, lambda share: tell(_READING * share), window_s)
+    runs = measure(paths, lambda share: tell(_READING * share), window_s, namespace)
     rows = [run.row for run in runs]
     out = Path(out)
     (out / "figures").mkdir(parents=True, exist_ok=True)
@@ -75,6 +78,7 @@ def measure(
     paths: Sequence[Path],
     progress: Progress | None = None,
     window_s: Sequence[float] | None = None,
+    namespace: str | None = None,
 ) -> list[Measured]:
     """
     Read and measure recordings one after the other, so that only one is in memory at a time.
@@ -85,7 +89,7 @@ def measure(
         Bags.
     progress : callable, optional
         Told the share that is done, 0 to 1.
-    window_s : sequence of two floats, optional
+    window_s, namespace
         See `compare`.
 
     Returns
@@ -100,7 +104,7 @@ def measure(
             if progress is not None:
                 progress((n + share) / len(paths))
 
-        parts.append(_measure_one(Path(path), tell, window_s))
+        parts.append(_measure_one(Path(path), tell, window_s, namespace))
     names = labels([part["row"] for part in parts], [Path(path) for path in paths])
     numbers = setups(
         [Path(path) for path in paths],
@@ -160,9 +164,12 @@ def _without_seed(config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _measure_one(
-    path: Path, progress: Progress, window_s: Sequence[float] | None
+    path: Path,
+    progress: Progress,
+    window_s: Sequence[float] | None,
+    namespace: str | None,
 ) -> dict[str, Any]:
-    found = recording.read(path, progress=progress)
+    found = recording.read(path, namespace=namespace, progress=progress)
     return {
         "row": evaluate(found, window_s),
         "window": cut(found, window_s),

@@ -26,6 +26,11 @@ import click
     metavar="BEGIN END",
     help="Time to evaluate (s), in all recordings.  [default: each recording's own]",
 )
+@click.option(
+    "--namespace",
+    metavar="/AXIS",
+    help="Which axis, of a recording that holds several.",
+)
 @click.option("--force", is_flag=True, help="Replace results that are there already.")
 @click.option(
     "--strict",
@@ -36,6 +41,7 @@ def command(
     bags: tuple[Path, ...],
     out: Path,
     window_s: tuple[float, float] | None,
+    namespace: str | None,
     force: bool,
     strict: bool,
 ) -> None:
@@ -61,7 +67,11 @@ def command(
     with result_folder(out, force=force) as folder:
         with progress_bar() as begin:
             rows = compare.compare(
-                recordings, folder, window_s=window_s, progress=begin("compare", 1.0)
+                recordings,
+                folder,
+                window_s=window_s,
+                namespace=namespace,
+                progress=begin("compare", 1.0),
             )
     conclude(rows, out, strict=strict)
 

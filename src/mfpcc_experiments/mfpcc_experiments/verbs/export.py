@@ -21,8 +21,13 @@ import click
     type=click.Path(path_type=Path, dir_okay=False),
     help="File to write.  [default: the name of BAG, here]",
 )
+@click.option(
+    "--namespace",
+    metavar="/AXIS",
+    help="Which axis, of a recording that holds several.",
+)
 @click.option("--force", is_flag=True, help="Replace a file that is there already.")
-def command(bag: Path, form: str, out: Path | None, force: bool) -> None:
+def command(bag: Path, form: str, out: Path | None, namespace: str | None, force: bool) -> None:
     """Write a recording as a table: a row per PWM period, columns named with their units.
 
     The waveform within the periods, where it was recorded, is a second table: in csv and parquet a
@@ -43,7 +48,7 @@ def command(bag: Path, form: str, out: Path | None, force: bool) -> None:
         if file.exists() and not force:
             raise click.ClickException(f"{file} is there already: --force replaces it")
     with progress_bar() as begin:
-        found = recording.read(bag, progress=begin("read", 1.0))
+        found = recording.read(bag, namespace=namespace, progress=begin("read", 1.0))
     for note in found.notes:
         click.echo(f"{note.severity}: {note.text}", err=True)
     for file in export.export(found, path, form):

@@ -39,6 +39,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="Folder for the results.",
 )
+@click.option(
+    "--namespace",
+    metavar="/AXIS",
+    help="Which axis, of a recording that holds several.",
+)
 @click.option("--force", is_flag=True, help="Replace results that are there already.")
 @click.option(
     "--strict",
@@ -51,6 +56,7 @@ def command(
     schemes: tuple[str, ...],
     changes: tuple[str, ...],
     out: Path,
+    namespace: str | None,
     force: bool,
     strict: bool,
 ) -> None:
@@ -81,7 +87,7 @@ def command(
 
     with result_folder(out, force=force) as folder:
         with progress_bar() as begin:
-            read = recording.read(bag, progress=begin("read", 1.0))
+            read = recording.read(bag, namespace=namespace, progress=begin("read", 1.0))
             compiled.announce()  # above the bar, which stands still meanwhile
             verdict, error = _verify(replay.Samples(read, _motor(values)), begin("verify", 1.0))
             samples = replay.Samples(read, values)
