@@ -78,7 +78,7 @@ def test_a_controller_with_the_recorded_parameters_gives_the_recorded_commands(
 def test_another_scheme_answers_otherwise_and_the_first_difference_is_told(
     start: Start, bag: Path, parameters: Path
 ) -> None:
-    controller(start, "--params-file", str(parameters), "-p", "mls.eta_min:=0.2")
+    controller(start, "--params-file", str(parameters), "-p", "mls.start:=empty")
     replay = start("mfpcc_experiments", "replay", str(bag))
     assert replay.wait() == 0
     assert "commands are not the recorded ones, first that of period" in replay.output
