@@ -196,3 +196,73 @@ def test_a_part_that_is_missing_is_not_passed_over(tmp_path: Path) -> None:
     said = recover.recover(path)
     assert "saved" in said and "'run_0.mcap', a part of the bag" in said
     assert any("a part is missing" in note.text for note in recording.read(path).notes)
+
+
+def chunked(path: Path, source: list, config: dict | None = None) -> Path:
+    """A recording of others in one file, in the order of `source`, cut before its end."""
+    path.parent.mkdir(exist_ok=True)
+    with open(path, "wb") as file:
+        writer = Writer(file, chunk_size=1 << 12, compression=CompressionType.LZ4)
+        writer.start(profile="ros2")
+        channels = {}
+        for topic, type_name in LOOP_TOPICS.items():
+            text = message_definition(type_name).encode()
+            schema = writer.register_schema(type_name, "ros2msg", text)
+            channels[topic] = writer.register_channel("/axis1/" + topic, "cdr", schema)
+        if config is not None:
+            writer.add_metadata(CONFIG_RECORD, json_record(config))
+        for topic, at, data in source:
+            writer.add_message(channels[topic], at, data, at)
+        writer.finish()
+    cut(path, 20)
+    return path
+
+
+@pytest.mark.parametrize("config", [None, CONFIG | {"window_s": None}])
+@pytest.mark.parametrize("late", [*LOOP_TOPICS, None])
+def test_a_ragged_end_is_cut_to_the_last_period_of_all(
+    late: str | None, config: dict | None, tmp_path: Path
+) -> None:
+    """One topic ends 40 periods before the others, as where each is written by itself."""
+    source, last = [], 199
+    for message in MESSAGES:
+        topic, at, _ = message
+        if topic != late or at < MESSAGES[-1][1] - 40 * 100_000:
+            source.append(message)
+    path = chunked(tmp_path / "bag" / "bag_0.mcap", source, config)
+    before = path.read_bytes()
+    said = recover.recover(path)
+    found = recording.read(path)
+    rows = {
+        "phase_feedback": found.feedback["period"],
+        "duty_command": found.command["period"] - 1,
+        "lut_diagnostics": found.lut["period"],
+        "drive_state": found.state["period"],
+    }
+    ends = {int(period[-1]) for period in rows.values()}
+    assert len(ends) == 1 and (last - 42 <= ends.pop() <= last - 38 if late else ends == {last})
+    assert (found.lost_periods, found.notes[:1] if config else []) == (0, [])
+    kept = path.with_name(path.name + ".damaged")
+    assert ("behind the last period that all topics have left out" in said) == bool(late)
+    assert not late or kept.read_bytes() == before  # all that there was
+
+
+def test_a_topic_that_fell_silent_costs_no_other(tmp_path: Path) -> None:
+    from mfpcc_experiments.bags import ragged
+
+    count = ragged.LONGEST + 300
+    source = [m for m in messages(count) if m[0] != "drive_state" or m[1] < 200 * 100_000]
+    path = chunked(tmp_path / "bag" / "bag_0.mcap", source)
+    assert "left out" not in recover.recover(path)
+    with open(path, "rb") as file:
+        assert sum(1 for _ in make_reader(file).iter_messages()) == len(source)
+
+
+def test_a_drive_that_was_restarted_is_not_cut_before_it(tmp_path: Path) -> None:
+    """What belongs to the end is told by the order of writing, not by period numbers alone."""
+    later = MESSAGES[-1][1] + 1_000_000_000
+    second = [(topic, at + later, data) for topic, at, data in MESSAGES[:101]]
+    path = chunked(tmp_path / "bag" / "bag_0.mcap", [*MESSAGES, *second])
+    recover.recover(path)
+    found = recording.read(path)
+    assert len(found.feedback) == 200

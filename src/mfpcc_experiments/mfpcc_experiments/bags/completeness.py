@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mfpcc_experiments.bags.columns import ALL, Column, Rows
 from mfpcc_experiments.bags.errors import BagError
+from mfpcc_experiments.bags.topics import EVERY_PERIOD, LEAD
 from mfpcc_experiments.notes import Note, warning
 
 _Array = NDArray[np.int64]
@@ -25,11 +26,6 @@ _Array = NDArray[np.int64]
 _BEGIN = 1000
 # So many runs may be in one recording before it counts as several drives at the same time.
 _RUNS = 10
-
-# The command that answers a sample is for the period after it.
-_LEAD = {"duty_command": 1}
-# Never decimated: what is not there was lost.
-_EVERY_PERIOD = ("phase_feedback", "duty_command")
 
 
 @dataclass
@@ -209,7 +205,7 @@ def _drop_the_stop(commands: Column, found: Selection) -> None:
     """
     period = found.period["duty_command"]
     others = [p[-1] for name, p in found.period.items() if name != "duty_command" and len(p)]
-    if len(period) < 2 or period[-1] - _LEAD["duty_command"] != max(others) + 1:
+    if len(period) < 2 or period[-1] - LEAD["duty_command"] != max(others) + 1:
         return
     index = np.arange(commands.count)[found.rows["duty_command"]]
     if not commands.field_of(int(index[-1]), "enable"):
@@ -226,7 +222,7 @@ def _trim(found: Selection, decimation: Mapping[str, int]) -> None:
     for name, period in there.items():
         # A message of a decimated topic stands for the periods up to the next one.
         more = _step(name, period, decimation) - 1
-        begin = max(begin, int(period[0]) - _LEAD.get(name, 0) - more)
+        begin = max(begin, int(period[0]) - LEAD.get(name, 0) - more)
         end = min(end, ends[name] + more)
         # The last message of a topic that answers the samples may be missing.
         ragged |= ends[name] + more + int(name != "phase_feedback") < last
@@ -234,7 +230,7 @@ def _trim(found: Selection, decimation: Mapping[str, int]) -> None:
         end = last
     out: list[int] = []
     for name, period in there.items():
-        lead = _LEAD.get(name, 0)
+        lead = LEAD.get(name, 0)
         first = int(np.searchsorted(period, begin))  # with the command for the first period
         behind = int(np.searchsorted(period, end + lead, side="right")) if end < last else None
         kept = period[first:behind]
@@ -258,12 +254,12 @@ def _trim(found: Selection, decimation: Mapping[str, int]) -> None:
 
 def _ends(period: Mapping[str, _Array]) -> dict[str, int]:
     """The sample to which the last message of each topic belongs."""
-    return {name: int(p[-1]) - _LEAD.get(name, 0) for name, p in period.items() if len(p)}
+    return {name: int(p[-1]) - LEAD.get(name, 0) for name, p in period.items() if len(p)}
 
 
 def _step(name: str, period: _Array, decimation: Mapping[str, int]) -> int:
     """Periods from one message of a topic to the next."""
-    if name in _EVERY_PERIOD:
+    if name in EVERY_PERIOD:
         return 1
     if decimation.get(name, 0) > 0:
         return decimation[name]
@@ -281,8 +277,8 @@ def _count_lost(found: Selection, decimation: Mapping[str, int]) -> None:
         step = _step(name, period, decimation)
         # A command is recorded for the period after its sample. The last one of a topic may be
         # missing: the run ended before.
-        begin = first + _LEAD.get(name, 0)
-        end = last if name in _EVERY_PERIOD else last - 1
+        begin = first + LEAD.get(name, 0)
+        end = last if name in EVERY_PERIOD else last - 1
         where = np.flatnonzero(np.diff(period) > step)
         spans = np.stack([period[where] + step, period[where + 1]], axis=1)
         ahead = max(0, int(period[0]) - begin) // step * step

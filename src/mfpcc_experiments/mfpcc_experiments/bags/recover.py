@@ -2,9 +2,10 @@
 Repairing a recording whose writer was killed, or whose file was damaged.
 
 All whole chunks are copied into a new file, with the metadata and attachments, and that is finished
-as a writer would have done it. A chunk whose checksum does not match is dropped, never guessed. The
-copy is read back before it takes the place of the old file, and wherever that holds anything that
-the copy does not, be it bytes that nobody can read, it stays beside it as ``*.damaged``.
+as a writer would have done it. A chunk whose checksum does not match is dropped, never guessed.
+Messages behind the last period that all topics have are left out (`ragged`). The copy is read back
+before it takes the place of the old file, and wherever that holds anything that the copy does not,
+be it bytes that nobody can read, it stays beside it as ``*.damaged``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import shutil
 import tempfile
 import zlib
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -27,9 +28,10 @@ from mcap.records import Attachment
 from mfpcc_experiments.bags import mcap_file
 from mfpcc_experiments.bags.bag_parts import Parts, candidates, parts_of
 from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedError
-from mfpcc_experiments.bags.mcap_format import MESSAGE_HEAD, RECORD_HEAD, encode, parse
+from mfpcc_experiments.bags.mcap_format import MESSAGE_HEAD, RECORD_HEAD, encode, parse, walk
 from mfpcc_experiments.bags.metadata import METADATA, write_metadata
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD, custom_data
+from mfpcc_experiments.bags.ragged import Tails
 from mfpcc_experiments.bags.sink import McapSink, end_file
 
 _OWN_RECORDS = ("rosbag2", SUMMARY_RECORD)  # written anew
@@ -62,8 +64,9 @@ def recover(path: Path) -> str:
     try:
         with _workshop(folder) as workshop:
             copies = [_Copy(file, workshop / file.name) for file in parts.files]
+            tails = Tails()
             for copy in copies:
-                copy.run()
+                copy.run(tails)
             lacking = whole and not (folder / METADATA).exists()
             broken = [copy for copy in copies if copy.problem is not None]
             if not broken and missing is not None:
@@ -74,6 +77,8 @@ def recover(path: Path) -> str:
                 raise BagError(
                     f"{path}: nothing to save: the file holds no whole chunk of messages"
                 )
+            if copies[-1] in broken:
+                copies[-1] = broken[-1] = _without_ragged_end(copies[-1], tails)
             for copy in broken:
                 copy.finish()
                 copy.check()
@@ -114,6 +119,22 @@ def _parts(path: Path) -> tuple[Parts, BagError | None]:
     return parts, missing
 
 
+def _without_ragged_end(copy: _Copy, tails: Tails) -> _Copy:
+    """The last copy again, without messages behind the last period that all topics have."""
+    counts = {copy.sink.channels[cid].topic: 0 for cid in copy.sink.channels}
+    for cid, count in copy.sink.counts.items():
+        counts[copy.sink.channels[cid].topic] += count
+    ragged = tails.too_many()
+    if not ragged or any(counts.get(topic, 0) <= count for topic, count in ragged.items()):
+        return copy
+    copy.sink.close()
+    copy.sink.path.unlink()
+    keep = {topic: counts[topic] - count for topic, count in ragged.items()}
+    again = _Copy(copy.source, copy.sink.path, keep)
+    again.run(Tails())
+    return again
+
+
 @contextmanager
 def _workshop(folder: Path) -> Iterator[Path]:
     """A folder of this process alone, on the same disk."""
@@ -151,15 +172,26 @@ def _sync(folder: Path) -> None:
 
 
 class _Copy:
-    """The whole parts of `source`, copied to `target`."""
+    """
+    The whole parts of `source`, copied to `target`.
 
-    def __init__(self, source: Path, target: Path) -> None:
+    Parameters
+    ----------
+    source, target : Path
+        The file, and where its copy goes.
+    keep : mapping of int, optional
+        Of these topics only so many messages are copied.
+    """
+
+    def __init__(self, source: Path, target: Path, keep: Mapping[str, int] | None = None) -> None:
         self.source = source
         self.sink = McapSink(target)
         status = source.stat()
         self.state = status.st_size, status.st_mtime_ns
         self.problem: BagError | None = None
         self.damaged = 0
+        self.ragged = 0
+        self._keep = dict(keep or {})
         self.kept: Path | None = None
         self.custom: dict[str, str] = {}
         self._end = 0
@@ -172,8 +204,9 @@ class _Copy:
                 self._channels.see(record.opcode, record.content)
         self._sent: set[int] = set()
 
-    def run(self) -> None:
-        """Copy until the end of the file, or of what can be read of it."""
+    def run(self, tails: Tails) -> None:
+        """Copy until the end of the file, or of what can be read of it; `tails` takes note."""
+        self._tails = tails
         try:
             for record in mcap_file.blocks(self.source):
                 try:
@@ -192,7 +225,7 @@ class _Copy:
     @property
     def leaves_out(self) -> bool:
         """Whether the source holds anything that the copy does not."""
-        return bool(self.damaged) or self._end < self.state[0]
+        return bool(self.damaged or self.ragged) or self._end < self.state[0]
 
     def _record(self, record: mcap_file.Record) -> None:
         if record.opcode in (Opcode.CHUNK, Opcode.MESSAGE):
@@ -218,6 +251,8 @@ class _Copy:
 
     def _block(self, block: mcap_file.Block) -> None:
         """Copy one chunk; its index is made anew."""
+        if self._keep:
+            block = self._cut(block)
         data, messages = block.data, block.messages
         there = self._sent | block.channels
         used = np.unique(messages.channel_id).tolist()
@@ -234,10 +269,32 @@ class _Copy:
             pairs = np.stack([messages.log_time[rows], offset[rows].astype(np.uint64)], axis=1)
             index[channel_id] = array("Q", pairs.tobytes())
             self._know(channel_id)
-        for topic, message in _messages(block, self._channels):
-            self._checksums[topic] = zlib.crc32(message, self._checksums.get(topic, 0))
+        times = messages.log_time.tolist()
+        for at, (topic, message) in zip(times, _messages(block, self._channels), strict=True):
+            self._checksums[topic.name] = zlib.crc32(message, self._checksums.get(topic.name, 0))
+            self._tails.see(topic, at, message)
         self.sink.chunk(head + data, index)
         self._sent = there | set(used)
+
+    def _cut(self, block: mcap_file.Block) -> mcap_file.Block:
+        """A block without the messages that are more than is to be kept of their topics."""
+        messages = block.messages
+        keep = np.ones(len(messages.channel_id), np.bool_)
+        for n, channel_id in enumerate(messages.channel_id.tolist()):
+            topic = self._channels.topic(channel_id).name
+            if topic in self._keep:
+                keep[n] = self._keep[topic] > 0
+                self._keep[topic] -= int(keep[n])
+        if keep.all():
+            return block
+        self.ragged += int(np.count_nonzero(~keep))
+        left, at = bytearray(), 0
+        for begin, end in zip(messages.begin[~keep], messages.end[~keep], strict=True):
+            left += block.data[at : begin - MESSAGE_HEAD.size]
+            at = int(end)
+        left += block.data[at:]
+        _, rest = walk(bytes(left), self.source)
+        return mcap_file.Block(bytes(left), rest, block.channels)
 
     def _know(self, channel_id: int) -> None:
         """Put a channel into the summary."""
@@ -294,8 +351,8 @@ class _Copy:
                     continue
                 block = mcap_file.block(record, channels)
                 for topic, message in _messages(block, channels):
-                    counts[topic] += 1
-                    checksums[topic] = zlib.crc32(message, checksums.get(topic, 0))
+                    counts[topic.name] += 1
+                    checksums[topic.name] = zlib.crc32(message, checksums.get(topic.name, 0))
             with open(path, "rb") as file:
                 summary = make_reader(file).get_summary()
             statistics = summary.statistics if summary is not None else None
@@ -308,9 +365,9 @@ class _Copy:
 
 def _messages(
     block: mcap_file.Block, channels: mcap_file.Channels
-) -> Iterator[tuple[str, memoryview]]:
+) -> Iterator[tuple[mcap_file.Topic, memoryview]]:
     """Topic and bytes of each message of a block."""
-    names = {cid: channels.topic(cid).name for cid in np.unique(block.messages.channel_id).tolist()}
+    topics = {cid: channels.topic(cid) for cid in np.unique(block.messages.channel_id).tolist()}
     data = memoryview(block.data)
     for cid, begin, end in zip(
         block.messages.channel_id.tolist(),
@@ -318,7 +375,7 @@ def _messages(
         block.messages.end.tolist(),
         strict=True,
     ):
-        yield names[cid], data[begin:end]
+        yield topics[cid], data[begin:end]
 
 
 def _report(path: Path, copies: list[_Copy]) -> str:
@@ -330,6 +387,12 @@ def _report(path: Path, copies: list[_Copy]) -> str:
     damaged = sum(copy.damaged for copy in copies)
     if damaged:
         text += f"; {damaged} damaged part{'s' * (damaged > 1)} dropped"
+    ragged = sum(copy.ragged for copy in copies)
+    if ragged:
+        text += (
+            f"; {ragged} message{'s' * (ragged > 1)} behind the last period that all topics have "
+            "left out"
+        )
     kept = [copy.kept.name for copy in copies if copy.kept is not None]
     if kept:
         files = "the old file is" if len(kept) == 1 else "the old files are"

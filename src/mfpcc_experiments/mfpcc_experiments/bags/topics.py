@@ -9,3 +9,9 @@ LOOP_TOPICS = {
     "lut_diagnostics": "mfpcc_msgs/msg/LutDiagnostics",
     "drive_state": "mfpcc_msgs/msg/DriveState",
 }
+
+#: The command that answers a sample is for the period after it.
+LEAD = {"duty_command": 1}
+
+#: Never decimated: what is not there was lost.
+EVERY_PERIOD = ("phase_feedback", "duty_command")

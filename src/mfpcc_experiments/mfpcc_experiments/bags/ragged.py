@@ -1,0 +1,84 @@
+"""
+The ragged end of a recording whose writer was killed: topics that end at different periods.
+
+What lies behind the last period that all topics have belongs to no whole period. It is told from
+the last messages of each topic, in the order in which they were written.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+
+from mfpcc_experiments.bags.mcap_file import Topic
+from mfpcc_experiments.bags.topics import EVERY_PERIOD, LEAD, LOOP_TOPICS
+
+#: A topic that ended so many periods before the others was not cut off by the end: it fell silent,
+#: and what the others hold is no remnant.
+LONGEST = 6_000
+
+_PERIOD = slice(12, 20)  # of a message in CDR: behind its header and its stamp
+_LITTLE_ENDIAN = b"\x00\x01"
+
+
+class Tails:
+    """The last periods of the topics of the loop, of all axes."""
+
+    def __init__(self) -> None:
+        self._periods: dict[str, deque[tuple[int, int]]] = {}
+
+    def see(self, topic: Topic, log_time: int, message: bytes | memoryview) -> None:
+        """
+        Take note of a message.
+
+        Parameters
+        ----------
+        topic : Topic
+            Its topic; any.
+        log_time : int
+            When it was recorded (ns).
+        message : bytes-like
+            Its content.
+        """
+        name = topic.name.rpartition("/")[2]
+        if LOOP_TOPICS.get(name) != topic.type_name or topic.encoding != "cdr":
+            return
+        if len(message) < _PERIOD.stop or bytes(message[:2]) != _LITTLE_ENDIAN:
+            return
+        period = int.from_bytes(message[_PERIOD], "little") - LEAD.get(name, 0)
+        tail = self._periods.setdefault(topic.name, deque(maxlen=LONGEST))
+        tail.append((log_time, period))
+
+    def too_many(self) -> dict[str, int]:
+        """How many messages at the end of each topic belong to no whole period; those with any."""
+        found: dict[str, int] = {}
+        axes = {topic.rpartition("/")[0] for topic in self._periods}
+        for axis in axes:
+            tails = {t: p for t, p in self._periods.items() if t.rpartition("/")[0] == axis}
+            found |= _of_one_axis(tails)
+        return found
+
+
+def _of_one_axis(tails: Mapping[str, deque[tuple[int, int]]]) -> dict[str, int]:
+    if not all(map(_rises, tails.values())):
+        return {}  # restarted, or out of order: what its end is cannot be told
+    ends = [tail[-1][1] + step - 1 for topic, tail in tails.items() if (step := _step(topic, tail))]
+    if not ends or max(tail[-1][1] for tail in tails.values()) - min(ends) >= LONGEST:
+        return {}
+    counts = {
+        topic: sum(1 for _, period in tail if period > min(ends)) for topic, tail in tails.items()
+    }
+    return {topic: count for topic, count in counts.items() if count}
+
+
+def _rises(tail: Iterable[tuple[int, int]]) -> bool:
+    order = list(tail)
+    return all(b[0] >= a[0] and b[1] > a[1] for a, b in pairwise(order))
+
+
+def _step(topic: str, tail: deque[tuple[int, int]]) -> int:
+    """Periods from one message to the next; 0 where it cannot be told."""
+    if topic.rpartition("/")[2] in EVERY_PERIOD:
+        return 1
+    return tail[-1][1] - tail[-2][1] if len(tail) > 1 else 0
