@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import Any
 
+import rclpy
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.task import Future
 
 from ros2_standin.node import SERVICE_TIMEOUT, result_of, wait_until
+
+_ATTEMPTS = 4
+_AGAIN_AFTER = 5.0  # s
 
 TYPE_NAMES = {
     ParameterType.PARAMETER_BOOL: "boolean",
@@ -60,24 +66,37 @@ class RemoteParameters:
 
     def names(self, prefixes: list[str] | None = None) -> list[str]:
         """Return the names of the parameters, sorted."""
-        response = self._answer(self._client.list_parameters(prefixes=prefixes))
+        response = self._answer(lambda: self._client.list_parameters(prefixes=prefixes))
         return sorted(response.result.names)
 
     def get(self, names: list[str]) -> list[ParameterValue]:
         """Return values."""
-        return list(self._answer(self._client.get_parameters(names)).values)
+        return list(self._answer(lambda: self._client.get_parameters(names)).values)
 
     def set(self, parameters: list[Any]) -> list[Any]:
         """Set values, and return the node's answer to each."""
-        return list(self._answer(self._client.set_parameters(parameters)).results)
+        return list(self._answer(lambda: self._client.set_parameters(parameters)).results)
 
     def describe(self, names: list[str]) -> list[Any]:
         """Return descriptors."""
-        return list(self._answer(self._client.describe_parameters(names)).descriptors)
+        return list(self._answer(lambda: self._client.describe_parameters(names)).descriptors)
 
-    def _answer(self, future: Any) -> Any:
+    def _answer(self, ask: Callable[[], Future]) -> Any:
+        """Ask, and again if no answer comes: a server loses those to a client not seen yet.
+
+        All of these requests may be made twice.
+        """
         what = f"Exception while calling service of node {self._name}"
-        return result_of(self._node, future, what)
+        for _ in range(_ATTEMPTS - 1):
+            future = ask()
+            rclpy.spin_until_future_complete(self._node, future, timeout_sec=_AGAIN_AFTER)
+            if future.done() or not rclpy.ok():
+                break
+        else:
+            future = ask()
+        return result_of(
+            self._node, future, f"Exception while calling service of node {self._name}"
+        )
 
 
 def add_parameter_argument(parser: argparse.ArgumentParser) -> None:
