@@ -105,18 +105,44 @@ def test_a_missing_end_is_a_gap(make_bag, drive_messages):
     assert found.lost_periods == 99  # the very last period of a run may lack its diagnostics
 
 
-@pytest.mark.parametrize("enable", [False, True])
-def test_the_stop_after_the_end_answers_no_sample(make_bag, drive_messages, enable):
-    *source, (topic, time, data) = drive_messages(1000)
-    last = Wire(DutyCommand)
-    last.load(data)
-    last.fixed["period"] += 1
-    last.fixed["enable"] = enable  # what is on answers a sample, which then is missing
-    source += [(topic, time, data), (topic, time + 1, last.to_bytes())]
-    found = recording.read(make_bag(source=iter(source)))
-    assert found.feedback["period"][-1] == 999
-    assert (found.lost_periods, found.command["period"][-1]) == ((1, 1001) if enable else (0, 1000))
-    assert bool(found.notes) == enable
+def stop(command, *, answers: bool = False):
+    """What a controller sends as it is made inactive: its last command, for the period after."""
+    topic, time, data = command
+    wire = Wire(DutyCommand)
+    wire.load(data)
+    wire.fixed["period"] += 1
+    wire.fixed["enable"] = False
+    if answers:  # with the gates off, but with a stamp of its own
+        wire.fixed["stamp"]["nanosec"] += 100_000
+    return topic, time + 1, wire.to_bytes()
+
+
+def test_the_stop_after_the_end_answers_no_sample(make_bag, drive_messages):
+    source = list(drive_messages(1000))
+    for copies in (1, 2):
+        ended = iter([*source, *[stop(source[-1])] * copies])
+        found = recording.read(make_bag(f"{copies}", source=ended))
+        assert (len(found.feedback), int(found.command["period"][-1])) == (1000, 1000)
+        assert (found.lost_periods, found.notes) == (0, [])
+
+
+def test_an_answer_with_the_gates_off_is_no_stop(make_bag, drive_messages):
+    source = list(drive_messages(1000))
+    found = recording.read(make_bag(source=iter([*source, stop(source[-1], answers=True)])))
+    assert (len(found.feedback), int(found.command["period"][-1])) == (1000, 1001)
+    assert found.lost_periods == 1  # the sample that it answers
+    assert found.notes
+
+
+def test_a_controller_that_is_made_inactive_for_a_while(make_bag, drive_messages):
+    """The stop is for the period of the next answer, which is the one that counts."""
+    source = list(drive_messages(1000))
+    (at,) = [n for n, m in enumerate(source) if m[0] == "duty_command" and m[1] == 50_000_000]
+    stopped = [*source[: at + 1], stop(source[at]), *source[at + 1 :]]
+    found = recording.read(make_bag(source=iter(stopped)))
+    assert found.command["period"].tolist() == list(range(1, 1001))
+    assert found.command["enable"].all()
+    assert (found.lost_periods, found.notes) == (0, [])
 
 
 def test_decimated_topics_are_no_gaps(make_bag, drive_messages):
@@ -284,7 +310,7 @@ def test_two_axes(tmp_path, drive_messages):
         for topic, time, data in drive_messages(20):
             writer.write("/axis1/" + topic, time, data)
             writer.write("/axis2/" + topic, time, data)
-    with pytest.raises(BagError, match="choose one of /axis1, /axis2"):
+    with pytest.raises(BagError, match="several axes: /axis1, /axis2; choose one with --namespace"):
         recording.read(tmp_path / "b")
     assert len(recording.read(tmp_path / "b", namespace="axis2").feedback) == 20
 

@@ -42,7 +42,12 @@ def column(name: str, path: Path) -> Column:
     """
     import mfpcc_msgs.msg
 
-    kind = {"lut_diagnostics": _TextColumn, "drive_state": _WaveColumn}.get(name, Column)
+    kinds = {
+        "duty_command": _CommandColumn,
+        "lut_diagnostics": _TextColumn,
+        "drive_state": _WaveColumn,
+    }
+    kind = kinds.get(name, Column)
     return kind(name, getattr(mfpcc_msgs.msg, LOOP_TOPICS[name].split("/")[-1]), path)
 
 
@@ -156,17 +161,13 @@ class Column:
             return np.zeros(0, np.int64)
         return np.concatenate([part["period"] for part in self._parts]).astype(np.int64)
 
-    def field_of(self, index: int, field: str) -> Any:
-        """One field of one message."""
-        for part in self._parts:
-            if index < len(part):
-                return part[field][index]
-            index -= len(part)
-        raise IndexError(f"{self.name}: there are {self.count} messages")
-
     def log_time(self) -> NDArray[np.int64]:
         """Log times of all messages (ns); gives up its own copy."""
         return join(self._times, ALL, np.zeros(0, np.int64))
+
+    def answers_nothing(self, rows: Rows) -> NDArray[np.bool_]:
+        """Which of the rows, in the order of time, belong to no period of the loop."""
+        return np.zeros(len(np.arange(self.count)[rows]), np.bool_)
 
     def first_difference(self, one: NDArray[np.int64], other: NDArray[np.int64]) -> int | None:
         """Index of the first pair of rows with other contents, or None if all pairs are alike."""
@@ -184,6 +185,28 @@ class Column:
     def take(self, keep: Rows) -> tuple[NDArray[Any], Any]:
         """Array of the rows to keep, and what a topic has besides; gives up its own copy."""
         return join(self._parts, keep, np.zeros(0, self._dtype)), None
+
+
+class _CommandColumn(Column):
+    """`DutyCommand`: the answers to the samples, and stops."""
+
+    def answers_nothing(self, rows: Rows) -> NDArray[np.bool_]:
+        """Which of the rows, in the order of time, are stops.
+
+        A controller that is made inactive, or ends, sends its last command once more for the period
+        after, with the gates off. Its stamp is still that of the last answer, while each answer has
+        a stamp of its own. It is the last of all, or the answer for its period follows.
+        """
+        if not self._parts:
+            return np.zeros(0, np.bool_)
+        stamp, period, enable = (
+            np.concatenate([part[name] for part in self._parts])[rows]
+            for name in ("stamp", "period", "enable")
+        )
+        begin = np.flatnonzero(np.concatenate([[True], stamp[1:] != stamp[:-1]]))
+        answer = np.repeat(period[begin], np.diff([*begin.tolist(), len(period)]))
+        final = np.concatenate([period[1:] == period[:-1], [True]])
+        return np.asarray((period == answer + 1) & (enable == 0) & final)
 
 
 class _TextColumn(Column):

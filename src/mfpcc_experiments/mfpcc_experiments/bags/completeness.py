@@ -86,11 +86,11 @@ def select(
     for name, column in columns.items():
         if span is not None:
             rows[name] = _within(time[name], rows[name], span)
+        rows[name] = _answers(column, rows[name])
         rows[name] = _rising(column, period[name], rows[name], path, found)
         period[name] = period[name][rows[name]]
     del time
     found.rows, found.period = rows, period
-    _drop_the_stop(columns["duty_command"], found)
     if joined_late or all(p[0] > 0 for p in period.values() if len(p)):
         _trim(found, decimation)
     _count_lost(found, decimation)
@@ -166,6 +166,12 @@ def _within(time: _Array, rows: Rows, span: tuple[float, float]) -> Rows:
     return index[(inside > span[0]) & (inside < span[1])]
 
 
+def _answers(column: Column, rows: Rows) -> Rows:
+    """Rows that belong to a period of the loop."""
+    out = column.answers_nothing(rows)
+    return np.arange(column.count)[rows][~out] if out.any() else rows
+
+
 def _rising(column: Column, period: _Array, rows: Rows, path: Path, found: Selection) -> Rows:
     """Rows of one run with rising period numbers: sorted, and repeats dropped."""
     there = period[rows]
@@ -194,23 +200,6 @@ def _rising(column: Column, period: _Array, rows: Rows, path: Path, found: Selec
 
 
 # --- Completeness ------------------------------------------------------------------------------
-
-
-def _drop_the_stop(commands: Column, found: Selection) -> None:
-    """
-    Drop the command with which a controller that ends blocks the gates, after the last sample.
-
-    It is for the period behind that of its last answer and no answer to a sample, so none is
-    missing. What is recorded in line does not have it.
-    """
-    period = found.period["duty_command"]
-    others = [p[-1] for name, p in found.period.items() if name != "duty_command" and len(p)]
-    if len(period) < 2 or period[-1] - LEAD["duty_command"] != max(others) + 1:
-        return
-    index = np.arange(commands.count)[found.rows["duty_command"]]
-    if not commands.field_of(int(index[-1]), "enable"):
-        found.rows["duty_command"] = index[:-1]
-        found.period["duty_command"] = period[:-1]
 
 
 def _trim(found: Selection, decimation: Mapping[str, int]) -> None:
