@@ -94,9 +94,7 @@ class RemoteParameters:
                 break
         else:
             future = ask()
-        return result_of(
-            self._node, future, f"Exception while calling service of node {self._name}"
-        )
+        return result_of(self._node, future, what)
 
 
 def add_parameter_argument(parser: argparse.ArgumentParser) -> None:
