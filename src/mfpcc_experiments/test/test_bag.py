@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, recover
 from mfpcc_experiments.bags.definitions import message_definition
-from mfpcc_experiments.bags.sink import McapSink
+from mfpcc_experiments.bags.disk.sink import McapSink
 
 TOPICS = {"/" + name: type_name for name, type_name in LOOP_TOPICS.items()}
 

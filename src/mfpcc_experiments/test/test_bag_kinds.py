@@ -21,7 +21,7 @@ from synthetic_drive import CONFIG, messages
 
 from mfpcc_experiments import cli, notes
 from mfpcc_experiments.bags import BagError, BagWriter, bag_parts, recording, recover
-from mfpcc_experiments.bags.mcap_format import MAGIC
+from mfpcc_experiments.bags.disk.mcap_format import MAGIC
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, json_record
 from mfpcc_experiments.notes import Severity
 

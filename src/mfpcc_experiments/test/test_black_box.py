@@ -14,7 +14,7 @@ from mfpcc_msgs.msg import DriveFault, DriveStatus
 from rclpy.serialization import serialize_message
 
 from mfpcc_experiments.bags import recording
-from mfpcc_experiments.bags.sink import McapSink
+from mfpcc_experiments.bags.disk.sink import McapSink
 from mfpcc_experiments.graph.archive import KEPT, LIST, PAGE, Archive
 from mfpcc_experiments.graph.black_box import BlackBox
 

@@ -15,9 +15,10 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mfpcc_experiments import cli
-from mfpcc_experiments.bags import LOOP_TOPICS, BagError, mcap_format, recording, recover
+from mfpcc_experiments.bags import LOOP_TOPICS, BagError, recording, recover
 from mfpcc_experiments.bags.definitions import message_definition
-from mfpcc_experiments.bags.mcap_format import MAGIC
+from mfpcc_experiments.bags.disk import mcap_format
+from mfpcc_experiments.bags.disk.mcap_format import MAGIC
 from mfpcc_experiments.measuring import metrics, window
 
 #: More than the little bag of these tests needs by far (bytes).

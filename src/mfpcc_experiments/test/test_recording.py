@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, recover
 from mfpcc_experiments.bags.definitions import message_definition
-from mfpcc_experiments.bags.mcap_format import MAGIC
+from mfpcc_experiments.bags.disk.mcap_format import MAGIC
 from mfpcc_experiments.measuring import happened, metrics, window
 from pwm_node.wire import Wire
 

@@ -15,8 +15,8 @@ from synthetic_drive import CONFIG, messages
 
 from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, recover
 from mfpcc_experiments.bags.definitions import message_definition
+from mfpcc_experiments.bags.disk.sink import McapSink
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, json_record
-from mfpcc_experiments.bags.sink import McapSink
 
 MESSAGES = list(messages(200))
 

@@ -5,10 +5,10 @@ Recordings: bytes on disk, and as arrays.
 message, of any bag that holds the topics of the loop, or refuses it with a `BagError`; `recover`
 repairs one whose writer was killed. `bags_in` finds the bags in a folder of results.
 
-From the disk upwards: `mcap_format` and `mcap_file` (records), `storage` (files of every kind),
-`bag_parts` (files of a bag), `layouts` and `columns` (messages to arrays), `completeness` (which of
-them belong together), `recording`. Downwards: `writer`, `sink`, `metadata`. What both need:
-`topics`, `definitions`, `provenance`, `errors`.
+From the disk upwards: `disk` (records, and files of every kind), `bag_parts` (files of a bag),
+`layouts` and `columns` (messages to arrays), `completeness` (which of them belong together),
+`recording`. Downwards: `writer`, `metadata`. What both need: `topics`, `definitions`, `provenance`,
+`errors`.
 """
 
 from __future__ import annotations

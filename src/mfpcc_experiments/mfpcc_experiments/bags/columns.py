@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfpcc_experiments.bags import layouts
+from mfpcc_experiments.bags.disk.mcap_file import Topic
 from mfpcc_experiments.bags.errors import BagError
 from mfpcc_experiments.bags.layouts import Layout
-from mfpcc_experiments.bags.mcap_file import Topic
 from mfpcc_experiments.bags.topics import LOOP_TOPICS
 
 #: Which rows of a column: of all that were read, in this order.

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 
-from mfpcc_experiments.bags.mcap_file import Topic
+from mfpcc_experiments.bags.disk.mcap_file import Topic
 from mfpcc_experiments.bags.topics import EVERY_PERIOD, LEAD, LOOP_TOPICS
 
 #: A topic that ended so many periods before the others was not cut off by the end: it fell silent,

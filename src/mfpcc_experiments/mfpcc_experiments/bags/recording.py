@@ -26,12 +26,12 @@ from mfpcc_experiments.bags import status
 from mfpcc_experiments.bags.bag_parts import Parts, parts_of
 from mfpcc_experiments.bags.columns import column, layout_of
 from mfpcc_experiments.bags.completeness import select
+from mfpcc_experiments.bags.disk.mcap_file import Topic
+from mfpcc_experiments.bags.disk.storage import Batch, Counts, Entry, contents
 from mfpcc_experiments.bags.errors import BagError
 from mfpcc_experiments.bags.layouts import TAKEN_AS_ON, Layout
-from mfpcc_experiments.bags.mcap_file import Topic
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD
 from mfpcc_experiments.bags.status import Status, StatusError
-from mfpcc_experiments.bags.storage import Batch, Counts, Entry, contents
 from mfpcc_experiments.bags.topics import LOOP_TOPICS
 from mfpcc_experiments.notes import Note, info, warning
 from pwm_node import stamps

@@ -25,14 +25,14 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment
 
-from mfpcc_experiments.bags import mcap_file
 from mfpcc_experiments.bags.bag_parts import Parts, candidates, parts_of
+from mfpcc_experiments.bags.disk import mcap_file
+from mfpcc_experiments.bags.disk.mcap_format import MESSAGE_HEAD, RECORD_HEAD, encode, parse, walk
+from mfpcc_experiments.bags.disk.sink import McapSink, end_file
 from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedError
-from mfpcc_experiments.bags.mcap_format import MESSAGE_HEAD, RECORD_HEAD, encode, parse, walk
 from mfpcc_experiments.bags.metadata import METADATA, write_metadata
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD, custom_data
 from mfpcc_experiments.bags.ragged import Tails
-from mfpcc_experiments.bags.sink import McapSink, end_file
 
 _OWN_RECORDS = ("rosbag2", SUMMARY_RECORD)  # written anew
 

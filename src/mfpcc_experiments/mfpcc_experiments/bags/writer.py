@@ -33,11 +33,11 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from mfpcc_experiments.bags.definitions import message_definition, type_hash
+from mfpcc_experiments.bags.disk.mcap_format import MESSAGE_FIELDS, MESSAGE_HEAD, encode
+from mfpcc_experiments.bags.disk.sink import McapSink, finish_bag
 from mfpcc_experiments.bags.errors import BagError
-from mfpcc_experiments.bags.mcap_format import MESSAGE_FIELDS, MESSAGE_HEAD, encode
 from mfpcc_experiments.bags.metadata import QOS, is_metadata, to_yaml
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, custom_data, json_record
-from mfpcc_experiments.bags.sink import McapSink, finish_bag
 from mfpcc_experiments.bags.topics import LOOP_TOPICS
 
 #: Recorded time in one chunk (ns); see the head of this file.

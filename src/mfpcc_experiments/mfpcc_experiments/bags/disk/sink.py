@@ -32,7 +32,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from mfpcc_experiments.bags.mcap_format import CHUNK_HEAD, MAGIC, RECORD_HEAD, encode
+from mfpcc_experiments.bags.disk.mcap_format import CHUNK_HEAD, MAGIC, RECORD_HEAD, encode
 from mfpcc_experiments.bags.metadata import (
     METADATA,
     PartInfo,

@@ -20,10 +20,10 @@ import zstandard
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from mfpcc_experiments.bags import mcap_file
+from mfpcc_experiments.bags.disk import mcap_file
+from mfpcc_experiments.bags.disk.mcap_file import Topic
+from mfpcc_experiments.bags.disk.mcap_format import MAGIC
 from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedError
-from mfpcc_experiments.bags.mcap_file import Topic
-from mfpcc_experiments.bags.mcap_format import MAGIC
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _SQLITE = b"SQLite format 3\0"

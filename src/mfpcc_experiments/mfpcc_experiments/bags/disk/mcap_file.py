@@ -18,8 +18,7 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema, Statistics
 
-from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedError
-from mfpcc_experiments.bags.mcap_format import (
+from mfpcc_experiments.bags.disk.mcap_format import (
     FOOTER,
     MAGIC,
     MAX_CHUNK,
@@ -29,6 +28,7 @@ from mfpcc_experiments.bags.mcap_format import (
     unpack_chunk,
     walk,
 )
+from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedError
 from mfpcc_experiments.bags.provenance import json_value
 
 # Messages that lie outside of chunks are gathered to so many bytes.
