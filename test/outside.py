@@ -30,6 +30,8 @@ class Outside:
     ----------
     period : int
         Period of the last sample seen, -1 before the first.
+    sample : PhaseFeedback, optional
+        That sample.
     state : DriveState, optional
         The last one seen.
     gates : list of (int, bool)
@@ -45,6 +47,7 @@ class Outside:
         rclpy.init(args=[], context=self.context)
         self.node = Node("outside", context=self.context)
         self.period = -1
+        self.sample: PhaseFeedback | None = None
         self.state: DriveState | None = None
         self.gates: list[tuple[int, bool]] = []
         self.scheme = ""
@@ -64,7 +67,7 @@ class Outside:
         self.executor.add_node(self.node)
 
     def _on_feedback(self, message: PhaseFeedback) -> None:
-        self.period = message.period
+        self.sample, self.period = message, message.period
 
     def _on_state(self, message: DriveState) -> None:
         self.state = message

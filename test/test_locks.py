@@ -347,6 +347,18 @@ def test_no_way_to_an_index_is_told_in_a_sentence(workspace, index, venv):
             pass
 
 
+def test_without_a_place_for_what_is_fetched_nothing_is_kept(monkeypatch, tmp_path):
+    """Below /proc not even root can make a folder, though it may write there."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    variables = import_module("installer")._installer_variables
+    off = {"UV_NO_CACHE": "1", "PIP_NO_CACHE_DIR": "1"}
+    nowhere = {"XDG_CACHE_HOME": "/proc/nohome/.cache"}
+    assert off.items() <= variables({}, nowhere).items()
+    for shell in ({"XDG_CACHE_HOME": str(tmp_path)}, {**nowhere, "UV_CACHE_DIR": str(tmp_path)}):
+        assert ("UV_NO_CACHE" in variables({}, shell)) is False
+    assert "PIP_NO_CACHE_DIR" in variables({}, shell)
+
+
 def test_settings_of_the_way_to_an_index_reach_both_installers(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     tool = import_module("installer")

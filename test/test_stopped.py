@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from harness import Process
+from mfpcc_msgs.msg import PhaseFeedback
 from outside import Outside
 
 from mfpcc_experiments.bags import recording
@@ -94,6 +95,38 @@ def run_again(outside: Outside) -> None:
         lambda: outside.enabled("pmsm_sim") and outside.period > period + 5,
         "the drive runs again",
     )
+
+
+@pytest.mark.parametrize("ahead", [2, 6, 99])
+def test_in_lock_step_a_forged_sample_does_not_stop_the_loop_for_ever(
+    start: Start, outside: Outside, ahead: int
+) -> None:
+    """The controller takes it for a sample that overtook others, and those for late ones."""
+    speed = ("-p", "speed_ref_rpm:=200.0")
+    controller = start("mfpcc_controller", "controller", "--ros-args", *speed)
+    plant = start("pmsm_sim", "pmsm_sim", "--ros-args")
+    forger = outside.node.create_publisher(PhaseFeedback, "phase_feedback", 10)
+    outside.until_beyond(50, "the loop runs")
+
+    def heard() -> bool:
+        forger.publish(b"no message")
+        return "phase_feedback refused" in controller.output
+
+    outside.until(heard, "the controller hears it")
+    with stopped(controller):
+        until_it_stands(outside, controller)
+        forged = outside.sample
+        assert forged is not None
+        forged.period += ahead
+        forger.publish(forged)
+    stood = forged.period
+    outside.until_beyond(stood + 100, "the loop goes on")
+    if outside.codes("mfpcc_controller") or outside.codes("pmsm_sim"):
+        run_again(outside)
+    assert outside.enabled("pmsm_sim") and outside.enabled("mfpcc_controller")
+    for process in (controller, plant):
+        process.signal(signal.SIGINT)
+        assert process.wait() == 0, process.output
 
 
 def test_paced_the_inverter_does_not_wait_for_a_controller(start: Start, outside: Outside) -> None:

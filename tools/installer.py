@@ -247,8 +247,9 @@ def _installer_variables(
             if variables.get(name):
                 kept["SSL_CERT_FILE"] = variables[name]
                 break
-    if not _can_be_made(Path(kept.get("UV_CACHE_DIR") or _cache_home(variables))):
-        kept["UV_NO_CACHE"] = "1"
+    for installer, off in (("UV", "UV_NO_CACHE"), ("PIP", "PIP_NO_CACHE_DIR")):
+        if not _can_be_made(Path(kept.get(f"{installer}_CACHE_DIR") or _cache_home(variables))):
+            kept[off] = "1"
     return kept
 
 
@@ -258,9 +259,12 @@ def _cache_home(variables: Mapping[str, str]) -> Path:
 
 
 def _can_be_made(folder: Path) -> bool:
-    """Whether a folder can be written, or made."""
-    there = next((path for path in (folder, *folder.parents) if path.exists()), folder)
-    return os.access(there, os.W_OK)
+    """Whether a folder can be written, once it is made: below some, like /proc, none can be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
 
 
 def _is_true(value: str) -> bool:

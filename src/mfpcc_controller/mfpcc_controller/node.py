@@ -62,6 +62,7 @@ class MfpccController(PwmNode):
         self._looks = 0
         self._looked_at = -1
         self._inverter_at_rest = False
+        self._overtaken = -1  # period of the latest sample that came too late
 
     # Life cycle -----------------------------------------------------------------------------
 
@@ -196,8 +197,10 @@ class MfpccController(PwmNode):
             return False
         if self.period < 0 and not self._heard():
             return False
-        if 0 < k < self.period < k + _OVERTAKEN:
-            # counted by the controller; it answers only what is newer than what it has seen
+        if 0 < k < self.period < k + _OVERTAKEN and k != self._overtaken:
+            # Counted by the controller; it answers only what is newer than what it has seen. But if
+            # the plant sends it again, it waits for the answer, and what came before was forged.
+            self._overtaken = k
             self.core.step(self._feedback.fixed, self._command.fixed, self._lut.fixed, False)
             return False
         if k < self.period:
