@@ -60,7 +60,7 @@ def test_any_bytes_into_the_nodes(context: Any) -> None:
             if rng.random() < 0.05:
                 for node in (plant, controller):
                     node.core.clear_faults()
-                    node._tell(node._told_at + 1.0)  # /diagnostics
+                    node._publish_diagnostics(node._diagnosed_at + 1.0)
             duty = controller._command.fixed["duty"]
             assert np.all((duty >= 0.0) & (duty <= 1.0))
             for wire in (plant._feedback, plant._state, controller._lut):
