@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from harness import PATIENCE
@@ -15,7 +16,7 @@ from harness import PATIENCE
 from mfpcc_experiments.bags import BagError, recording
 from mfpcc_experiments.measuring import METRICS, evaluate, happened, measured, signals, window
 from mfpcc_experiments.paper import runs
-from mfpcc_experiments.reporting import compare, figures, report, table, traces
+from mfpcc_experiments.reporting import STYLE, compare, figures, report, table, traces
 from mfpcc_experiments.running import scenario
 
 CONTRACT = {
@@ -145,6 +146,15 @@ def test_figures_of_recordings_that_lack_topics(make_bag, drive_messages, tmp_pa
     compare.compare([bare], tmp_path / "alone")
     names = {path.stem for path in (tmp_path / "alone" / "figures").iterdir()}
     assert names == {"phase_currents", "i_dq", "spectrum"}
+
+
+def test_lines_of_one_panel_are_told_apart_in_a_grey_print(bags):
+    with mpl.rc_context(STYLE):
+        figure = figures.phase_currents(compare.measure(bags))
+    for axis in figure.axes:
+        assert len({line.get_marker() for line in axis.lines}) == len(axis.lines) == 3
+        begins = [line.get_markevery()[0] for line in axis.lines]
+        assert len(set(begins)) == 3  # marks do not cover each other
 
 
 def test_vector_figures_are_vectors_and_the_same_each_time(bags, compared, tmp_path):

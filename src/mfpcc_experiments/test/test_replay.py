@@ -243,7 +243,7 @@ def test_the_verb_fails_where_the_recording_is_not_reproduced(
 ) -> None:
     read = recording.read(bags("mfpcc"))
     read.config["parameters"]["mfpcc_controller"]["mfpcc.u_min"] = 150.0
-    monkeypatch.setattr(recording, "read", lambda path, progress: read)
+    monkeypatch.setattr(recording, "read", lambda path, **options: read)
     line = ["replay", "bag", "--out", str(tmp_path / "out"), "--scheme", "mfpcc", "--force"]
     assert cli.run(line) == 1
     said = capsys.readouterr()

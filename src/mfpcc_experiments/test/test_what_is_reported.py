@@ -23,9 +23,11 @@ from mfpcc_experiments.bags.definitions import message_definition
 from mfpcc_experiments.measuring import metrics, window
 from mfpcc_experiments.measuring.measured import Measured
 from mfpcc_experiments.measuring.signals import signals
+from mfpcc_experiments.paper import runs
 from mfpcc_experiments.reporting import figures, table
 from mfpcc_experiments.reporting.style import COLOURS, MARKS
 from mfpcc_experiments.running import run, scenario
+from mfpcc_experiments.running.trace import write_trace
 
 STEADY = """\
 motor: {motor}
@@ -89,7 +91,7 @@ def slow_deadbeat(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     object.__setattr__(known, "choices", choices)
 
 
-@pytest.mark.parametrize("event", ["fallback", "trip"])
+@pytest.mark.parametrize("event", ["fallback", "trip", "switch", "gap"])
 def test_every_verb_says_the_same_words(
     event: str,
     slow_deadbeat: str,
@@ -105,34 +107,59 @@ def test_every_verb_says_the_same_words(
             "period 500: RuntimeError: lost its way {at all}"
         )
         file = written(tmp_path)
-    else:
+    elif event == "trip":
         scheme, label = "mls_mfpcc", "MLS-MFPCC"
         words = "gates off from 0.080 s: OVERCURRENT, current amplitude"
         file = written(tmp_path, schedule="{at: 0.08, plant.fault.overcurrent: 0.1}")
-    out, again, replayed = Path("a"), Path("b"), Path("c")
-
+    elif event == "switch":
+        scheme, label = "mls_mfpcc", "MBPCC"
+        words = "MBPCC controlled from 0.020 s on, MLS-MFPCC before"
+        file = written(tmp_path, schedule="{at: 0.02, scheme: mbpcc}")
+    else:
+        scheme, label = "mls_mfpcc", "MLS-MFPCC"
+        words = "30 of the 600 periods of the window are missing in phase_feedback"
+        file = written(tmp_path)
+        monkeypatch.setattr(run, "write_trace", without_some_samples)
+    severity, code = ("info", 0) if event == "switch" else ("failure", notes.NOT_AS_ASKED)
     printed = []
     for line in (
         f"run {file.name} --scheme {scheme} --engine inprocess --out a",
         f"compare a/{scheme} --out b",
         f"replay a/{scheme} --scheme mbpcc --out c",
     ):
-        assert cli.run(line.split()) == notes.NOT_AS_ASKED
+        assert cli.run(line.split()) == code
         printed.append(capsys.readouterr().out)
 
     said = set()
     for text in printed:
-        (line,) = [x for x in text.splitlines() if x.startswith("failure:")]
-        assert label in line and words in line
+        (line,) = [x for x in text.splitlines() if x.startswith(f"{severity}:") and words in x]
+        assert label in line
         said.add(line[line.index(words) :])
-    for folder in (out, again, replayed):
+    for folder in (Path("a"), Path("b"), Path("c")):
         (row,) = json.loads((folder / "metrics.json").read_text())
-        (failure,) = texts(row, "failure")
-        said.add(failure)
-    for folder in (out, again):
+        said |= {note for note in texts(row, severity) if words in note}
+    (sentence,) = said
+    for folder in (Path("a"), Path("b")):
         page = html.unescape(re.sub(r"<[^>]*>", "", (folder / "report.html").read_text()))
-        assert failure in page and label in page
-    assert said == {failure}
+        assert sentence in page and label in page
+    # `mfpcc reproduce` measures what it runs, in process and without a recording, by itself
+    if event != "gap":
+        row = metrics.evaluate(runs.simulate(scenario.load(file.name), scheme, 0))
+        assert sentence in texts(row, severity)
+
+
+def without_some_samples(writer: Any, trace: Any, **options: Any) -> None:
+    """Write a trace, but for 30 of the samples."""
+
+    class Lossy:
+        def __getattr__(self, name: str) -> Any:
+            return getattr(writer, name)
+
+        def write(self, topic: str, at: int, data: bytes) -> None:
+            if topic != "phase_feedback" or not 80_000_000 <= at < 83_000_000:
+                writer.write(topic, at, data)
+
+    write_trace(Lossy(), trace, **options)
 
 
 def as_others_record(ours: Path, path: Path, *, lut: bool) -> Path:

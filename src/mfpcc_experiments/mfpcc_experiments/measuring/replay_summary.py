@@ -10,7 +10,9 @@ import numpy as np
 from mfpcc_experiments.measuring.happened import rows_of, scheme_title
 from mfpcc_experiments.measuring.metrics import of_the_run
 from mfpcc_experiments.measuring.replay import Replay, Samples
+from mfpcc_experiments.measuring.steadiness import Need, missing
 from mfpcc_experiments.measuring.waveform import per_axis, rms, space_vector
+from mfpcc_experiments.measuring.window import window_periods
 from mfpcc_experiments.measuring.window import window_rows as rows_in
 from mfpcc_experiments.notes import Note, failure, info
 
@@ -63,7 +65,7 @@ def summary(
         "first_difference": first,
         "fell_back": result.fell_back,
     }
-    if _off(samples, rows):
+    if _off(samples, rows) or _gaps(samples, window_s):
         for key in ("lut_error_max", "lut_error_rms"):
             row[key] = {"d": None, "q": None}
         for key in ("duty_difference_max", "voltage_difference_rms", "same_commands_percent"):
@@ -89,6 +91,19 @@ def _off(samples: Samples, rows: slice) -> bool:
     return samples.past.is_off_in(*_periods(samples, rows))
 
 
+def _gaps(samples: Samples, window_s: Sequence[float] | None) -> list[Note]:
+    """What is missing in the evaluated time of what a scheme is asked and compared with."""
+    recording = samples.recording
+    first, end = _periods(samples, window_rows(samples, window_s))
+    window = window_s or recording.window_s
+    if window is not None and len(recording.feedback):
+        begin, last = window_periods(window, recording.T_s)
+        if begin <= first and end <= last:
+            first, end = begin, last
+    needed = (Need.FEEDBACK, Need.COMMAND)
+    return [note for need, note in missing(recording, first, end) if need in needed]
+
+
 def recorded_scheme(samples: Samples, window_s: Sequence[float] | None = None) -> str:
     """Name of what controlled when the evaluated time was recorded."""
     return samples.past.scheme_in(*_periods(samples, window_rows(samples, window_s)))
@@ -99,6 +114,7 @@ def recorded_notes(samples: Samples, window_s: Sequence[float] | None = None) ->
     rows = window_rows(samples, window_s)
     notes = [
         *samples.past.notes(*_periods(samples, rows)),
+        *_gaps(samples, window_s),
         *samples.recording.notes,
         *of_the_run(samples.recording),
     ]

@@ -186,37 +186,16 @@ class Fitness:
             self.lacks.add(Need.DRIVEN)
         if self._mixed:
             self.lacks.add(Need.ONE_SCHEME)
-        self._judge_samples(recording)
+        for need, note in missing(recording, first, end):
+            self.lacks.add(need)
+            self.notes.append(note)
+        if Need.FEEDBACK in self.lacks and not len(recording.state):
+            self.lacks.add(Need.SPEED)
         self.steady = self._judge_steady(recording, w)
         if not self.steady:
             self.lacks.add(Need.STEADY)
         self._judge_topics(recording, w)
         self._judge_step_time(recording)
-
-    def _judge_samples(self, recording: Recording) -> None:
-        """Whether all messages of the window are there, topic by topic."""
-        first, end = self._first, self._end
-        expected = (
-            ("phase_feedback", recording.feedback, first, Need.FEEDBACK),
-            # there is none for period 0
-            ("duty_command", recording.command, max(first, 1), Need.COMMAND),
-            ("lut_diagnostics", recording.lut, first, Need.DIAGNOSTICS),
-            ("drive_state", recording.state, first, Need.STATE),
-        )
-        for topic, rows, begin, need in expected:
-            missing = _missing(rows["period"], begin, end) if len(rows) else 0
-            if not missing:
-                continue
-            self.lacks.add(need)
-            self.notes.append(
-                failure(
-                    f"{missing} of the {end - begin} periods of the window "
-                    f"{'are' if missing > 1 else 'is'} missing in {topic}: no figure that "
-                    "needs them"
-                )
-            )
-        if Need.FEEDBACK in self.lacks and not len(recording.state):
-            self.lacks.add(Need.SPEED)
 
     def _judge_steady(self, recording: Recording, w: Window) -> bool | None:
         """Whether the window holds a steady state; tells why not."""
@@ -268,6 +247,36 @@ class Fitness:
             self.notes.append(
                 info("no computing time: one scheme did not control throughout, with the gates on")
             )
+
+
+def missing(recording: Recording, first: int, end: int) -> list[tuple[Need, Note]]:
+    """
+    Which topics lack messages of some periods, and what that is called.
+
+    Parameters
+    ----------
+    recording : Recording
+        What was recorded.
+    first, end : int
+        Periods, from and to (not included).
+    """
+    expected = (
+        ("phase_feedback", recording.feedback, first, Need.FEEDBACK),
+        # there is none for period 0
+        ("duty_command", recording.command, max(first, 1), Need.COMMAND),
+        ("lut_diagnostics", recording.lut, first, Need.DIAGNOSTICS),
+        ("drive_state", recording.state, first, Need.STATE),
+    )
+    found = []
+    for topic, rows, begin, need in expected:
+        count = _missing(rows["period"], begin, end) if len(rows) else 0
+        if count:
+            text = (
+                f"{count} of the {end - begin} periods of the window "
+                f"{'are' if count > 1 else 'is'} missing in {topic}: no figure that needs them"
+            )
+            found.append((need, failure(text)))
+    return found
 
 
 def _missing(period: NDArray[np.uint64], first: int, end: int) -> int:

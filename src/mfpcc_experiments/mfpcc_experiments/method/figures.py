@@ -266,7 +266,7 @@ def figure_fronts() -> Figure:
     """Speed of response against distortion, and against survival."""
     figure = Figure(figsize=(6.6, 3.4), layout="constrained")
     thd, survived = figure.subplots(1, 2, sharex=True)
-    for scheme, colour, marker in zip(SCHEMES, COLOURS * 2, "oooooo^^^^", strict=False):
+    for scheme, colour, marker in zip(SCHEMES, COLOURS * 2, "os^vD<>PX*", strict=False):
         line = [p for p in points() if p.scheme == scheme and np.isfinite(p.periods)]
         if not line:
             continue

@@ -20,7 +20,14 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from mfpcc_experiments.measuring import Measured, Window, waveform
-from mfpcc_experiments.reporting.style import COLOURS, FORMATS, PHASES, REFERENCE, STYLE
+from mfpcc_experiments.reporting.style import (
+    COLOURS,
+    FORMATS,
+    PHASE_MARKS,
+    PHASES,
+    REFERENCE,
+    STYLE,
+)
 
 #: Electrical periods shown of the phase currents: in a steady state, and around a transient.
 STEADY_PERIODS, TRANSIENT_PERIODS = 2.0, 5.0
@@ -203,8 +210,20 @@ def phase_currents(runs: Sequence[Measured]) -> Figure:
         begin = time[0] if steady else min(_transient(w) - 0.3 * span, time[-1] - span)
         begin = max(begin, time[0])
         rows = slice(*np.searchsorted(time, (begin, begin + span)))
-        for n, (name, colour) in enumerate(zip("abc", PHASES, strict=True)):
-            axis.plot(time[rows], i_abc[rows, n], color=colour, label=f"$i_{name}$")
+        # a mark here and there, as far from those of the other phases: prints may be grey
+        every = max(3, (rows.stop - rows.start) // 8)
+        for n, (name, colour, mark) in enumerate(zip("abc", PHASES, PHASE_MARKS, strict=True)):
+            axis.plot(
+                time[rows],
+                i_abc[rows, n],
+                color=colour,
+                label=f"$i_{name}$",
+                marker=mark,
+                markevery=((2 * n + 1) * every // 6, every),
+                markersize=4.0,
+                markeredgecolor="white",
+                markeredgewidth=0.5,
+            )
         axis.set_xlim(begin, begin + span)
         shown.append(i_abc[rows])
         thd = run.row["thd_percent"]["oversampled" if fine else "control"]

@@ -15,8 +15,9 @@ COLOURS = (
 #: factor in common with that of the colours, so that ninety recordings differ in one or the other.
 MARKS = "●■▲▼◆✚✖★◀▶"
 
-#: Phases a, b, c, and references.
+#: Phases a, b, c, with marks for a grey print, and references.
 PHASES = (COLOURS[0], COLOURS[1], COLOURS[2])
+PHASE_MARKS = ("o", "s", "^")
 REFERENCE = "#000000"
 
 #: What all figures are drawn with: `with mpl.rc_context(STYLE)`.
