@@ -25,7 +25,7 @@ import math
 import numpy as np
 
 from pmsm_sim.machine import flux
-from pwm_node.compiled import kernel
+from pwm_node.compiled import inlined, kernel
 
 _SQRT3 = math.sqrt(3.0)
 # alpha and beta components of the phase axes a, b, c
@@ -45,6 +45,11 @@ BRIDGE = np.dtype(
         ("watched", np.int64, (3,)),  # 1: the two differ, so the sign of the current matters
         ("can_float", np.int64, (3,)),  # 1: there are voltages at which neither conducts
         ("mode", np.int64, (3,)),  # sign of the current; 0: none flows
+        # all legs together, while current flows in each (see `join_legs`)
+        ("rail", np.float64, (2,)),  # alpha and beta voltage per DC-link voltage
+        ("drop", np.float64, (2,)),  # and what does not depend on it (V)
+        ("r", np.float64, (3,)),  # resistance (ohm): alpha-alpha, alpha-beta, beta-beta
+        ("inner", np.float64, (3,)),  # what iron loss leaves of the voltage, the same way
     ],
     align=True,
 )
@@ -77,22 +82,20 @@ VOLTAGE_ROUNDING = 1e-9
 
 
 @kernel
-def connect_leg(par, br, x, gate):
-    """Connect leg x as its gates say: 1 upper switch on, -1 lower switch on, 0 both off."""
-    br.rail_p[x] = 1.0 if gate == 1 else 0.0
-    br.rail_n[x] = 0.0 if gate == -1 else 1.0
-    if gate == 1:
-        br.drop_p[x], br.r_p[x] = par.switch_voltage, par.switch_resistance
-    else:
-        br.drop_p[x], br.r_p[x] = par.diode_voltage, par.diode_resistance
-    if gate == -1:
-        br.drop_n[x], br.r_n[x] = par.switch_voltage, par.switch_resistance
-    else:
-        br.drop_n[x], br.r_n[x] = par.diode_voltage, par.diode_resistance
-    can_float = gate == 0 or par.switch_voltage + par.diode_voltage > 0.0
-    br.can_float[x] = 1 if can_float else 0
-    br.watched[x] = 1 if can_float or br.r_p[x] != br.r_n[x] else 0
-    br.mode[x] = 1
+def connect_legs(par, br, gates):
+    """Connect the legs as their gates say (bits a, b, c: upper switch on; from bit 3 on: lower)."""
+    for x in range(3):
+        upper, lower = gates >> x & 1 == 1, gates >> (x + 3) & 1 == 1
+        br.rail_p[x] = 1.0 if upper else 0.0
+        br.rail_n[x] = 0.0 if lower else 1.0
+        br.drop_p[x] = par.switch_voltage if upper else par.diode_voltage
+        br.r_p[x] = par.switch_resistance if upper else par.diode_resistance
+        br.drop_n[x] = par.switch_voltage if lower else par.diode_voltage
+        br.r_n[x] = par.switch_resistance if lower else par.diode_resistance
+        can_float = not (upper or lower) or par.switch_voltage + par.diode_voltage > 0.0
+        br.can_float[x] = 1 if can_float else 0
+        br.watched[x] = 1 if can_float or br.r_p[x] != br.r_n[x] else 0
+        br.mode[x] = 1
 
 
 @kernel
@@ -122,6 +125,65 @@ def _clamp(br, x, u_dc):
     if br.mode[x] >= 0:
         return br.rail_p[x] * u_dc - br.drop_p[x], br.r_p[x]
     return br.rail_n[x] * u_dc + br.drop_n[x], br.r_n[x]
+
+
+@kernel
+def join_legs(par, br):
+    """All legs as one source behind a resistance, while current flows in each of them.
+
+    With i the stator current, the voltage at the terminals is u = rail u_dc + drop - r i. Behind
+    the winding's resistance, and with iron loss, i = i_m + G e, the induced voltage is
+
+        e = inner (rail u_dc + drop - (R_s + r) i_m),    inner = (1 + G (R_s + r))^-1
+    """
+    rail_a = rail_b = drop_a = drop_b = r_aa = r_ab = r_bb = 0.0
+    for x in range(3):
+        n_a, n_b = 2.0 / 3.0 * _AXIS_ALPHA[x], 2.0 / 3.0 * _AXIS_BETA[x]
+        if br.mode[x] >= 0:
+            rail, drop, r = br.rail_p[x], -br.drop_p[x], br.r_p[x]
+        else:
+            rail, drop, r = br.rail_n[x], br.drop_n[x], br.r_n[x]
+        rail_a += rail * n_a
+        rail_b += rail * n_b
+        drop_a += drop * n_a
+        drop_b += drop * n_b
+        r_aa += r * n_a * _AXIS_ALPHA[x]
+        r_ab += r * n_a * _AXIS_BETA[x]
+        r_bb += r * n_b * _AXIS_BETA[x]
+    br.rail[0], br.rail[1] = rail_a, rail_b
+    br.drop[0], br.drop[1] = drop_a, drop_b
+    br.r[0], br.r[1], br.r[2] = r_aa, r_ab, r_bb
+    G = par.iron_conductance
+    if G > 0.0:
+        a, b, d = 1.0 + G * (par.R_s + r_aa), G * r_ab, 1.0 + G * (par.R_s + r_bb)
+        determinant = a * d - b * b
+        br.inner[0], br.inner[1], br.inner[2] = d / determinant, -b / determinant, a / determinant
+
+
+@inlined
+def induced(par, br, u_dc, i_alpha, i_beta):
+    """Induced voltage (V) and stator current (A), alpha and beta, of a machine current (A)."""
+    R, G = par.R_s, par.iron_conductance
+    e_alpha = br.rail[0] * u_dc + br.drop[0] - (R + br.r[0]) * i_alpha - br.r[1] * i_beta
+    e_beta = br.rail[1] * u_dc + br.drop[1] - br.r[1] * i_alpha - (R + br.r[2]) * i_beta
+    if G > 0.0:
+        e_alpha, e_beta = (
+            br.inner[0] * e_alpha + br.inner[1] * e_beta,
+            br.inner[1] * e_alpha + br.inner[2] * e_beta,
+        )
+        return e_alpha, e_beta, i_alpha + G * e_alpha, i_beta + G * e_beta
+    return e_alpha, e_beta, i_alpha, i_beta
+
+
+@kernel
+def conducting_margin(br, i_alpha, i_beta):
+    """As `margin` (A), for the stator current where all legs carry some."""
+    smallest = math.inf
+    for x in range(3):
+        if br.watched[x] == 1:
+            i_x = _AXIS_ALPHA[x] * i_alpha + _AXIS_BETA[x] * i_beta
+            smallest = min(smallest, br.mode[x] * i_x)
+    return smallest
 
 
 @kernel
@@ -237,6 +299,17 @@ def solve(par, br, el, i_d, i_q, w_m, c, s, u_dc):
 
 
 @kernel
+def positive_legs(br, i_alpha, i_beta):
+    """Bits a, b, c: which legs carry a positive current (A), or are about to."""
+    bits = 0
+    for x in range(3):
+        i_x = _AXIS_ALPHA[x] * i_alpha + _AXIS_BETA[x] * i_beta
+        if (br.mode[x] > 0) if br.watched[x] == 1 else (i_x > 0.0):
+            bits |= 1 << x
+    return bits
+
+
+@kernel
 def _pair_margin(br, el, u_dc):
     """Voltage (V) missing until some pair of legs starts to conduct, while none does."""
     margin = math.inf
@@ -346,6 +419,14 @@ def without_floating(par, br, i_d, i_q, c, s):
 
 
 @kernel
+def _all_conduct(par, br, i_alpha, i_beta, u_dc):
+    """Whether all legs carry current in the directions of their modes."""
+    join_legs(par, br)
+    _, _, i_alpha, i_beta = induced(par, br, u_dc, i_alpha, i_beta)
+    return conducting_margin(br, i_alpha, i_beta) > ZERO_CURRENT
+
+
+@kernel
 def find_modes(par, br, el, i_d, i_q, w_m, c, s, u_dc):
     """Find how the legs conduct, after a switching instant or the end of a current.
 
@@ -370,7 +451,11 @@ def find_modes(par, br, el, i_d, i_q, w_m, c, s, u_dc):
         elif has_current:
             br.mode[x] = 1 if i_x > 0.0 else -1
             fixed |= 1 << x
-    if fixed != 7:
+        else:
+            br.mode[x] = 1 if i_x > 0.0 else -1  # most likely
+    if fixed != 7 and not (
+        par.iron_conductance > 0.0 and _all_conduct(par, br, i_alpha, i_beta, u_dc)
+    ):
         _choose(par, br, el, i_d, i_q, w_m, c, s, u_dc, fixed, flowing)
     return without_floating(par, br, i_d, i_q, c, s)
 

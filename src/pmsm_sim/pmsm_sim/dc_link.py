@@ -11,11 +11,12 @@ import numpy as np
 from pmsm_sim.columns import column
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.part import Part
-from pwm_node.compiled import kernel
+from pwm_node.compiled import inlined, kernel
 from pwm_node.parameters import Parameter
 
 _U_DC = column("u_dc")
-_SUPPLY, _DC, _CHOPPER = column("supply"), column("dc"), column("chopper")
+# Angle of the grid during which one pair of diodes carries the current (rad).
+_PULSE = math.pi / 3.0
 
 PARAMETERS = (
     Parameter(
@@ -153,6 +154,7 @@ PART = Part(
     check=_check,
     configure=_configure,
     general=_general,
+    full=_general,
     rates=_rates,
 )
 
@@ -182,27 +184,21 @@ def end_dc_link(st, y):
 @kernel
 def _rectified(par, t):
     """Voltage behind a three-phase diode bridge (V), six pulses per grid period."""
-    pulse = math.pi / 3.0
-    angle = (par.grid_w * t) % pulse - 0.5 * pulse
-    return par.grid_peak * math.cos(angle)
+    pulses = par.grid_w * t / _PULSE
+    return par.grid_peak * math.cos((pulses - math.floor(pulses) - 0.5) * _PULSE)
 
 
-@kernel
-def charge(par, period, t, chopping, y, dy, i_dc):
-    """Derivatives of voltage and energies, t (s) after the period began.
+@inlined
+def charge(par, period, t, chopping, u_dc, i_dc):
+    """Derivative of the voltage (V/s), t (s) after the period began, and powers (W).
 
     `i_dc` is what the inverter takes (A).
+
+    Returns du_dc, the power into the DC link, and that lost in the chopper.
     """
-    u_dc = y[_U_DC]
-    dy[_DC] = u_dc * i_dc
-    if par.rectifier:
-        now = period * par.T_s + t
-        i_grid = max(0.0, (_rectified(par, now) - u_dc) * par.grid_conductance)
-        i_chopper = u_dc * par.chopper_conductance if chopping else 0.0
-        dy[_SUPPLY] = u_dc * i_grid
-        dy[_CHOPPER] = u_dc * i_chopper
-        dy[_U_DC] = (i_grid - i_dc - i_chopper) / par.capacitance
-    else:
-        dy[_SUPPLY] = dy[_DC]
-        dy[_CHOPPER] = 0.0
-        dy[_U_DC] = 0.0
+    if not par.rectifier:
+        return 0.0, u_dc * i_dc, 0.0
+    now = period * par.T_s + t
+    i_grid = max(0.0, (_rectified(par, now) - u_dc) * par.grid_conductance)
+    i_chopper = u_dc * par.chopper_conductance if chopping else 0.0
+    return (i_grid - i_dc - i_chopper) / par.capacitance, u_dc * i_grid, u_dc * i_chopper

@@ -5,6 +5,8 @@ it. The plant needs derivatives, and it needs a field that stores energy without
 dpsi_d/di_q = dpsi_q/di_d. So the map is replaced by the gradient of one function, the co-energy
 W'(i_d, i_q), a bivariate quintic B-spline whose gradient fits the given values best (least
 squares). A map that is far from any gradient, or not invertible, is refused.
+
+Along each current the spline has as many cells as the grid has steps, at most 80, all of one width.
 """
 
 from __future__ import annotations
@@ -12,20 +14,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from pwm_node import yaml_files
-from pwm_node.compiled import kernel
+from pwm_node.compiled import inlined, kernel
 from pwm_node.yaml_files import FileError
 
 # Most cells along one current, and the spline coefficients they need
-_CELLS = 24
+_CELLS = 80
 _SIZE = _CELLS + 5
+# So many functions after one, there are others that are not zero where it is not.
+_WIDTH = 5
 
 #: The spline as a record
 MAP = np.dtype(
@@ -38,42 +43,78 @@ MAP = np.dtype(
     align=True,
 )
 
-# Polynomials of the quintic B-spline with unit knots: row j, power k, of the j-th of the six basis
-# functions that are not zero in a cell, over the place u in 0..1 in it.
-_QUINTIC = (
-    np.array(
-        [
-            [1, -5, 10, -10, 5, -1],
-            [26, -50, 20, 20, -20, 5],
-            [66, 0, -60, 0, 30, -10],
-            [26, 50, 20, -20, -20, 10],
-            [1, 5, 10, 10, 5, -5],
-            [0, 0, 0, 0, 0, 1],
-        ],
-        dtype=np.float64,
-    )
-    / 120.0
-)
-
 # How far the given flux may be from the nearest gradient, over the largest flux in the map.
 _TOLERANCE = 0.01
+# The part of the distance between spline and values that no field would take away, from which on it
+# is not the spline's cells that are too wide.
+_NO_FIELD = 0.2
 # Points per cell along each axis at which invertibility is checked.
 _CHECKS_PER_CELL = 4
 # Weight of the spline's roughness against the data: fixes what the data leave open.
 _SMOOTHING = 1e-4
 
 
-@kernel
-def _basis(u, j):
-    """Basis function j at u: its value, first and second derivative."""
-    p = _QUINTIC[j]
-    value = p[0] + u * (p[1] + u * (p[2] + u * (p[3] + u * (p[4] + u * p[5]))))
-    first = p[1] + u * (2.0 * p[2] + u * (3.0 * p[3] + u * (4.0 * p[4] + u * 5.0 * p[5])))
-    second = 2.0 * p[2] + u * (6.0 * p[3] + u * (12.0 * p[4] + u * 20.0 * p[5]))
+@inlined
+def _basis(u):
+    """Uniform B-splines that are not zero in a cell, at the place u in 0..1 in it.
+
+    By Cox's and de Boor's recursion. Returns the six of degree 5, and their first and second
+    derivatives, which are differences of those of degree 4 and 3.
+    """
+    v = 1.0 - u
+    a_0, a_1 = v, u
+    b_0, b_1, b_2 = 0.5 * v * a_0, 0.5 * ((1.0 + u) * a_0 + (1.0 + v) * a_1), 0.5 * u * a_1
+    t = 1.0 / 3.0
+    c_0 = t * v * b_0
+    c_1 = t * ((2.0 + u) * b_0 + (1.0 + v) * b_1)
+    c_2 = t * ((1.0 + u) * b_1 + (2.0 + v) * b_2)
+    c_3 = t * u * b_2
+    d_0 = 0.25 * v * c_0
+    d_1 = 0.25 * ((3.0 + u) * c_0 + (1.0 + v) * c_1)
+    d_2 = 0.25 * ((2.0 + u) * c_1 + (2.0 + v) * c_2)
+    d_3 = 0.25 * ((1.0 + u) * c_2 + (3.0 + v) * c_3)
+    d_4 = 0.25 * u * c_3
+    value = (
+        0.2 * v * d_0,
+        0.2 * ((4.0 + u) * d_0 + (1.0 + v) * d_1),
+        0.2 * ((3.0 + u) * d_1 + (2.0 + v) * d_2),
+        0.2 * ((2.0 + u) * d_2 + (3.0 + v) * d_3),
+        0.2 * ((1.0 + u) * d_3 + (4.0 + v) * d_4),
+        0.2 * u * d_4,
+    )
+    first = (-d_0, d_0 - d_1, d_1 - d_2, d_2 - d_3, d_3 - d_4, d_4)
+    second = (
+        c_0,
+        c_1 - 2.0 * c_0,
+        c_0 - 2.0 * c_1 + c_2,
+        c_1 - 2.0 * c_2 + c_3,
+        c_2 - 2.0 * c_3,
+        c_3,
+    )
     return value, first, second
 
 
-@kernel
+@inlined
+def _row(spline, row, column, q_0, q_1, q_2):
+    """Six coefficients of a row, weighted in three ways."""
+    a_0, a_1, a_2 = spline[row, column], spline[row, column + 1], spline[row, column + 2]
+    a_3, a_4, a_5 = spline[row, column + 3], spline[row, column + 4], spline[row, column + 5]
+    return (
+        (a_0 * q_0[0] + a_1 * q_0[1] + a_2 * q_0[2]) + (a_3 * q_0[3] + a_4 * q_0[4] + a_5 * q_0[5]),
+        (a_0 * q_1[0] + a_1 * q_1[1] + a_2 * q_1[2]) + (a_3 * q_1[3] + a_4 * q_1[4] + a_5 * q_1[5]),
+        (a_0 * q_2[0] + a_1 * q_2[1] + a_2 * q_2[2]) + (a_3 * q_2[3] + a_4 * q_2[4] + a_5 * q_2[5]),
+    )
+
+
+@inlined
+def _product(d, rows, n):
+    """Rows, weighted; of each the n-th of the three sums."""
+    return (d[0] * rows[0][n] + d[1] * rows[1][n] + d[2] * rows[2][n]) + (
+        d[3] * rows[3][n] + d[4] * rows[4][n] + d[5] * rows[5][n]
+    )
+
+
+@inlined
 def _cell(map_, axis, i):
     """Cell of the map and place in it, and by how much (A) the current lies outside the map."""
     x = (i - map_.start[axis]) * map_.rate[axis]
@@ -91,30 +132,18 @@ def co_energy(map_, i_d, i_q):
     """
     cell_d, u_d, over_d = _cell(map_, 0, i_d)
     cell_q, u_q, over_q = _cell(map_, 1, i_q)
-    basis_q = (
-        _basis(u_q, 0),
-        _basis(u_q, 1),
-        _basis(u_q, 2),
-        _basis(u_q, 3),
-        _basis(u_q, 4),
-        _basis(u_q, 5),
+    d_0, d_1, d_2 = _basis(u_d)
+    q_0, q_1, q_2 = _basis(u_q)
+    rows = (
+        _row(map_.spline, cell_d, cell_q, q_0, q_1, q_2),
+        _row(map_.spline, cell_d + 1, cell_q, q_0, q_1, q_2),
+        _row(map_.spline, cell_d + 2, cell_q, q_0, q_1, q_2),
+        _row(map_.spline, cell_d + 3, cell_q, q_0, q_1, q_2),
+        _row(map_.spline, cell_d + 4, cell_q, q_0, q_1, q_2),
+        _row(map_.spline, cell_d + 5, cell_q, q_0, q_1, q_2),
     )
-    W = psi_d = psi_q = L_dd = L_dq = L_qq = 0.0
-    for j in range(6):
-        row = row_1 = row_2 = 0.0
-        for k in range(6):
-            a = map_.spline[cell_d + j, cell_q + k]
-            b_0, b_1, b_2 = basis_q[k]
-            row += a * b_0
-            row_1 += a * b_1
-            row_2 += a * b_2
-        b_0, b_1, b_2 = _basis(u_d, j)
-        W += b_0 * row
-        psi_d += b_1 * row
-        psi_q += b_0 * row_1
-        L_dd += b_2 * row
-        L_dq += b_1 * row_1
-        L_qq += b_0 * row_2
+    W, psi_d, psi_q = _product(d_0, rows, 0), _product(d_1, rows, 0), _product(d_0, rows, 1)
+    L_dd, L_dq, L_qq = _product(d_2, rows, 0), _product(d_1, rows, 1), _product(d_0, rows, 2)
     rate_d, rate_q = map_.rate[0], map_.rate[1]
     psi_d *= rate_d
     psi_q *= rate_q
@@ -249,6 +278,9 @@ def _load(path: Path, _: int) -> FluxMap:
 
 def fit(file: FluxMapFile, path: Path | str = "flux map") -> FluxMap:
     """The co-energy whose gradient is nearest to the values of the file."""
+    # needed by few, and slow to import
+    from scipy.linalg import solveh_banded
+
     i_d, i_q = np.array(file.i_d), np.array(file.i_q)
     psi_d, psi_q = np.array(file.psi_d), np.array(file.psi_q)
     if not (i_d[0] <= 0.0 <= i_d[-1] and i_q[0] < 0.0 < i_q[-1]):
@@ -263,26 +295,37 @@ def fit(file: FluxMapFile, path: Path | str = "flux map") -> FluxMap:
     scale = max(np.abs(psi_d).max(), np.abs(psi_q).max())
 
     # Normal equations of: psi_d and psi_q at the grid points; roughness; W' = 0 without current.
-    # The spline is a product of two, so they are made of small matrices.
+    # The spline is a product of two, so they are made of small matrices, with few entries each.
     n_d, n_q = B_d.shape[1], B_q.shape[1]
     third_d, third_q = np.diff(np.eye(n_d), 3, axis=0), np.diff(np.eye(n_q), 3, axis=0)
-    zero = np.kron(_collocation(map_, 0, [0.0])[0], _collocation(map_, 1, [0.0])[0])
+    zero = _kron(_collocation(map_, 0, [0.0])[0], _collocation(map_, 1, [0.0])[0])
     rough = (_SMOOTHING * max(rate)) ** 2
     normal = (
-        np.kron(D_d.T @ D_d, B_q.T @ B_q)
-        + np.kron(B_d.T @ B_d, D_q.T @ D_q)
-        + rough * np.kron(third_d.T @ third_d, np.eye(n_q))
-        + rough * np.kron(np.eye(n_d), third_q.T @ third_q)
+        _kron(D_d.T @ D_d, B_q.T @ B_q)
+        + _kron(B_d.T @ B_d, D_q.T @ D_q)
+        + rough * _kron(third_d.T @ third_d, np.eye(n_q))
+        + rough * _kron(np.eye(n_d), third_q.T @ third_q)
         + max(rate) ** 2 * zero.T @ zero
     )
     right = D_d.T @ psi_d @ B_q + B_d.T @ psi_q @ D_q
-    W = np.linalg.solve(normal, right.ravel()).reshape(n_d, n_q)
+    diagonals = range(_WIDTH * n_q + _WIDTH + 1)
+    band = [np.pad(normal.diagonal(-k), (0, k)) for k in diagonals]
+    W = solveh_banded(np.array(band), right.ravel(), lower=True).reshape(n_d, n_q)
     map_["spline"][0, :n_d, :n_q] = W
 
     off = np.hypot(D_d @ W @ B_q.T - psi_d, B_d @ W @ D_q.T - psi_q)
     residual = float(off.max())
     if residual > _TOLERANCE * scale:
-        d, q = np.unravel_index(off.argmax(), off.shape)
+        d, q = map(int, np.unravel_index(off.argmax(), off.shape))
+        if _distance_from_a_field(file, (d, q)) < _NO_FIELD * residual:
+            raise FileError(
+                f"{path}: the flux bends too sharply near i_d = {i_d[d]:g} A, i_q = {i_q[q]:g} A: "
+                f"a spline of {cells[0]} x {cells[1]} cells, {1 / rate[0]:.3g} x {1 / rate[1]:.3g} "
+                f"A each, misses it by {residual:.3g} V s; at most {_TOLERANCE:.0%} of the largest "
+                f"flux ({_TOLERANCE * scale:.3g} V s) is accepted. Along a current it has as many "
+                f"cells as the grid has steps, at most {_CELLS}: give a finer or a smaller grid, "
+                "with equal steps"
+            )
         raise FileError(
             f"{path}: no field has this flux map: dpsi_d/di_q and dpsi_q/di_d differ too much. The "
             f"nearest one that stores energy is {residual:.3g} V s away at i_d = {i_d[d]:g} A, "
@@ -292,6 +335,34 @@ def fit(file: FluxMapFile, path: Path | str = "flux map") -> FluxMap:
     _check_monotone(map_, path)
     _, psi_f, _, _, _, _ = co_energy(map_[0], 0.0, 0.0)
     return FluxMap(map_, psi_f, residual)
+
+
+def _kron(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
+    """Kronecker product of matrices with few entries, as a sparse one."""
+    from scipy.sparse import csr_array, kron
+
+    return csr_array(kron(csr_array(a), csr_array(b)))
+
+
+def _distance_from_a_field(file: FluxMapFile, place: tuple[int, int]) -> float:
+    """How far (V s) the values are from any field at least, by what goes around beside a place.
+
+    The integral of the flux along a closed path is zero in a field; over the path's length, it says
+    how far the nearest one is. The paths are rectangles of grid lines with a corner at the place.
+    """
+    i_d, i_q = np.array(file.i_d), np.array(file.i_q)
+    psi_d, psi_q = np.array(file.psi_d), np.array(file.psi_q)
+    furthest = 0.0
+    n_d, n_q = len(i_d) - 1, len(i_q) - 1
+    for m, before, above in product(range(1, max(n_d, n_q) + 1), (0, 1), (0, 1)):
+        a, b = max(place[0] - before * m, 0), min(place[0] + (1 - before) * m, n_d)
+        c, d = max(place[1] - above * m, 0), min(place[1] + (1 - above) * m, n_q)
+        along_d = np.trapezoid(psi_d[a : b + 1, c] - psi_d[a : b + 1, d], i_d[a : b + 1])
+        along_q = np.trapezoid(psi_q[b, c : d + 1] - psi_q[a, c : d + 1], i_q[c : d + 1])
+        length = 2.0 * (i_d[b] - i_d[a] + i_q[d] - i_q[c])
+        if length > 0.0:
+            furthest = max(furthest, abs(along_d + along_q) / length)
+    return float(furthest)
 
 
 def _collocation(

@@ -18,7 +18,7 @@ import math
 from pmsm_sim.frames import phases, stationary
 from pmsm_sim.inverter import leg_voltage, set_pattern
 from pmsm_sim.part import MOST_STEPS
-from pwm_node.compiled import kernel
+from pwm_node.compiled import inlined, kernel
 
 # Largest electrical angle (rad) that one step may cover: keeps the error of the integration
 # below 1e-9 A per period and the polynomials of `small_rotation` below rounding error.
@@ -29,7 +29,7 @@ _ORDER_3 = 0.04
 _ORDER_4 = 0.2
 
 
-@kernel
+@inlined
 def small_rotation(x):
     """(cos x, sin x) for |x| up to `MAX_STEP_ANGLE`, to rounding error."""
     y = x * x

@@ -16,6 +16,9 @@ from pwm_node.parameters import Parameter
 
 _INV_SQRT3 = 1.0 / math.sqrt(3.0)
 
+# Start and end of a period; four edges of each leg, and the ends of their dead times.
+_MOST_INSTANTS = 26
+
 PARAMETERS = (
     Parameter(
         "inverter.missing_command",
@@ -108,6 +111,9 @@ STATE = (
     # the period's switching pattern: seven intervals of constant leg states
     ("t_switch", np.float64, (8,)),  # their limits (s from the start of the period)
     ("legs", np.int64, (7,)),  # bit 0, 1, 2: upper switch of leg a, b, c
+    # the same with dead time, blocked gates and failed legs, for the general model
+    ("instants", np.float64, (_MOST_INSTANTS,)),  # limits of intervals (s)
+    ("gates", np.int64, (_MOST_INSTANTS,)),  # bits 0, 1, 2: upper switch on; 3, 4, 5: lower
     ("level", np.int64, (3,)),  # what leg x was told last: 1 high, 0 low
     ("since", np.float64, (3,)),  # how long ago that changed (s)
 )
@@ -271,20 +277,6 @@ def _told(par, st, x, t):
 
 
 @kernel
-def leg_gate(par, st, x, t):
-    """Gates of leg x at time t (s) in the period: 1 upper on, -1 lower on, 0 both off.
-
-    After every change of what a leg is told, both its switches are off for the dead time.
-    """
-    if not st.gates_on or st.injector.leg_off[x] == 1:
-        return 0
-    level, began = _told(par, st, x, t)
-    if t - began < par.dead_time:
-        return 0
-    return 1 if level == 1 else -1
-
-
-@kernel
 def begin_gates(st):
     """Each leg has been told what it is told now for long."""
     for x in range(3):
@@ -320,20 +312,54 @@ def _insert(instants, n, t):
 
 
 @kernel
-def switching_instants(par, st, instants):
-    """Fill `instants` with the sorted limits of the intervals between which no gate changes.
+def set_gates(par, st):
+    """Fill `st.instants` and `st.gates` for the period; returns the number of intervals.
 
-    Returns how many there are; the first is 0, the last T_s.
+    After every change of what a leg is told, both its switches are off for the dead time.
     """
-    instants[0] = 0.0
-    n = 1
-    n = _insert(instants, n, par.T_s)
+    T_s, half, dead = par.T_s, 0.5 * par.T_s, par.dead_time
+    instants, gates = st.instants, st.gates
+    instants[0], instants[1] = 0.0, T_s
     if not st.gates_on:
-        return n
-    half = 0.5 * par.T_s
+        gates[0] = 0
+        return 1
+    n = 2
     for x in range(3):
-        for edge in (-st.since[x], 0.0, half * (1.0 - st.duty[x]), half * (1.0 + st.duty[x])):
-            for t in (edge, edge + par.dead_time):
-                if t > 0.0 and t < par.T_s:
-                    n = _insert(instants, n, t)
-    return n
+        d = st.duty[x]
+        rises, falls = half * (1.0 - d), half * (1.0 + d)
+        if d > 0.0 and d < 1.0:
+            n = _insert(instants, _insert(instants, n, rises), falls)
+        if dead > 0.0:
+            _, began = _told(par, st, x, 0.0)
+            for edge in (began, rises, falls):
+                if edge + dead > 0.0 and edge + dead < T_s:
+                    n = _insert(instants, n, edge + dead)
+    for j in range(n - 1):
+        gates[j] = 0
+    for x in range(3):
+        if st.injector.leg_off[x] == 1:
+            continue
+        d = st.duty[x]
+        high = half * d
+        first, began = _told(par, st, x, 0.0)
+        switched = d > 0.0 and d < 1.0
+        for j in range(n - 1):
+            t = 0.5 * (instants[j] + instants[j + 1])
+            level, since = first, began
+            if switched and abs(t - half) < high:
+                level, since = 1, half - high
+            elif switched and t > half:
+                level, since = 0, half + high
+            if t - since >= dead:
+                gates[j] |= 1 << x if level == 1 else 8 << x
+    return n - 1
+
+
+@kernel
+def rails(gates, positive):
+    """Bits of the legs that are on the positive rail, for the signs of their currents.
+
+    Where both switches of a leg are off, a negative current flows through its upper diode.
+    """
+    upper, lower = gates & 7, gates >> 3
+    return upper | (7 & ~(upper | lower | positive))

@@ -31,11 +31,15 @@ from pmsm_sim import flux_map
 from pmsm_sim.flux_map import co_energy
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.part import MOST_STEPS, Part
-from pwm_node.compiled import kernel
+from pwm_node.compiled import inlined, kernel
 from pwm_node.parameters import Parameter
 
 # Harmonics of the magnets' flux
 _HARMONICS = (5, 7, 11, 13)
+
+# Newton's method on a flux map ends after a move of so many cells, or after so many moves.
+_LAST_MOVE = 1e-4
+_MOST_MOVES = 12
 
 PARAMETERS = (
     Parameter(
@@ -168,6 +172,10 @@ def _rates(par: np.void) -> list[float]:
     return [R / min(par["L_d"], par["L_q"])]
 
 
+def _full(par: np.void) -> bool:
+    return bool(par["harmonics"] or par["cogging_torque"] != 0.0 or par["saturates"])
+
+
 PART = Part(
     parameters=PARAMETERS,
     par=PAR,
@@ -175,6 +183,7 @@ PART = Part(
     start=_start,
     configure=_configure,
     general=_general,
+    full=_full,
     rates=_rates,
 )
 
@@ -185,12 +194,27 @@ def torque(par, i_d, i_q):
     return 1.5 * par.n_p * (par.psi_f + (par.L_d - par.L_q) * i_d) * i_q
 
 
-@kernel
+@inlined
 def cogging(par, theta_M):
     """Cogging torque (N m): -tau sin(N theta_M), N periods per turn."""
     if par.cogging_torque == 0.0:
         return 0.0
     return -par.cogging_torque * math.sin(par.cogging_periods * theta_M)
+
+
+@inlined
+def harmonics(par, c, s):
+    """Flux linkage of the harmonics (V s) in d and q, and its derivative with the angle."""
+    z_2 = complex(c, s) ** 2
+    z_6 = z_2 * z_2 * z_2
+    z_12 = z_6 * z_6
+    sum_6, sum_12 = par.psi_h[1] + par.psi_h[0], par.psi_h[3] + par.psi_h[2]
+    difference_6, difference_12 = par.psi_h[1] - par.psi_h[0], par.psi_h[3] - par.psi_h[2]
+    psi_d = sum_6 * z_6.real + sum_12 * z_12.real
+    psi_q = difference_6 * z_6.imag + difference_12 * z_12.imag
+    turn_d = -6.0 * sum_6 * z_6.imag - 12.0 * sum_12 * z_12.imag
+    turn_q = 6.0 * difference_6 * z_6.real + 12.0 * difference_12 * z_12.real
+    return psi_d, psi_q, turn_d, turn_q
 
 
 @kernel
@@ -218,13 +242,45 @@ def flux(par, i_d, i_q, c, s):
         L_dd, L_dq, L_qq = par.L_d, 0.0, par.L_q
     turn_d = turn_q = 0.0
     if par.harmonics:
-        z_2 = complex(c, s) ** 2
-        z_6 = z_2 * z_2 * z_2
-        z_12 = z_6 * z_6
-        sum_6, sum_12 = par.psi_h[1] + par.psi_h[0], par.psi_h[3] + par.psi_h[2]
-        difference_6, difference_12 = par.psi_h[1] - par.psi_h[0], par.psi_h[3] - par.psi_h[2]
-        psi_d += sum_6 * z_6.real + sum_12 * z_12.real
-        psi_q += difference_6 * z_6.imag + difference_12 * z_12.imag
-        turn_d = -6.0 * sum_6 * z_6.imag - 12.0 * sum_12 * z_12.imag
-        turn_q = 6.0 * difference_6 * z_6.real + 12.0 * difference_12 * z_12.real
+        more_d, more_q, turn_d, turn_q = harmonics(par, c, s)
+        psi_d += more_d
+        psi_q += more_q
     return psi_d, psi_q, turn_d, turn_q, L_dd, L_dq, L_qq
+
+
+@inlined
+def current(par, per_L, psi_d, psi_q, near):
+    """Current of a flux linkage (V s) without harmonics: the inverse of `flux`.
+
+    A flux map is inverted by Newton's method. The error after an iteration goes with the square
+    of its move, so that of the last one is far below a thousandth of a microampere.
+
+    Parameters
+    ----------
+    per_L : (float, float)
+        1 / L_d, 1 / L_q (1/H).
+    near : tuple
+        The result at a neighbouring point, from where it starts.
+
+    Returns
+    -------
+    tuple
+        i_d, i_q (A), psi_d, psi_q (V s), and the incremental inductances L_dd, L_dq, L_qq (H).
+    """
+    if not par.saturates:
+        i_d, i_q = (psi_d - par.psi_f) * per_L[0], psi_q * per_L[1]
+        return i_d, i_q, psi_d, psi_q, par.L_d, 0.0, par.L_q
+    i_d, i_q, at_d, at_q, L_dd, L_dq, L_qq = near
+    small_d, small_q = _LAST_MOVE / par.map.rate[0], _LAST_MOVE / par.map.rate[1]
+    for n in range(_MOST_MOVES):
+        off_d, off_q = psi_d - at_d, psi_q - at_q
+        inverse = 1.0 / (L_dd * L_qq - L_dq * L_dq)
+        move_d = (L_qq * off_d - L_dq * off_q) * inverse
+        move_q = (L_dd * off_q - L_dq * off_d) * inverse
+        i_d += move_d
+        i_q += move_q
+        if n > 0 and abs(move_d) < small_d and abs(move_q) < small_q:
+            break
+        _, at_d, at_q, L_dd, L_dq, L_qq = co_energy(par.map, i_d, i_q)
+        at_d += par.psi_shift
+    return i_d, i_q, psi_d, psi_q, L_dd, L_dq, L_qq

@@ -17,16 +17,15 @@ import numpy as np
 from pmsm_sim.columns import column
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.part import MOST_STEPS, Part
-from pwm_node.compiled import kernel
+from pwm_node.compiled import inlined, kernel
 from pwm_node.parameters import Parameter
 from pwm_node.units import RPM
 
 _LOAD_KINDS = ("torque", "brake", "speed")
 _BRAKE, _SPEED = _LOAD_KINDS.index("brake"), _LOAD_KINDS.index("speed")
 
-_W_M, _TURN_M = column("w_M"), column("turn_M")
+_W_M = column("w_M")
 _W_L, _TWIST, _TAU_BRAKE = column("w_L"), column("twist"), column("tau_brake")
-_LOSS, _LOAD = column("friction"), column("load")
 
 # Speed below which friction is not fully there (rad/s; 1 r/min).
 _STANDSTILL = 0.1
@@ -214,14 +213,17 @@ def _configure(par: np.void, st: np.void, values: Mapping[str, Any], motor: Moto
     par["profile_tau"] = np.resize(points[1 : 2 * n : 2] + [0.0] * _PROFILE_SIZE, _PROFILE_SIZE)
 
 
-def _general(par: np.void) -> bool:
+def _full(par: np.void) -> bool:
     return bool(
         par["load_kind"] != _LOAD_KINDS.index("torque")
-        or par["coulomb_friction"] > 0.0
         or par["quadratic"] > 0.0
         or par["shaft"]
         or par["profile_points"] > 0
     )
+
+
+def _general(par: np.void) -> bool:
+    return _full(par) or bool(par["coulomb_friction"] > 0.0)
 
 
 def _rates(par: np.void) -> list[float]:
@@ -246,6 +248,7 @@ PART = Part(
     start=_start,
     configure=_configure,
     general=_general,
+    full=_full,
     rates=_rates,
 )
 
@@ -321,31 +324,45 @@ def end_mechanics(st, y):
     st.w_L, st.twist, st.tau_brake = y[_W_L], y[_TWIST], y[_TAU_BRAKE]
 
 
-@kernel
-def move(par, period, t, y, dy, tau_M):
-    """Derivatives of speeds, angles and energies, t (s) after the period began.
+@inlined
+def accelerate(par, per_J, w_M, tau_M):
+    """What `move` gives for one mass under a constant torque: dw_M; friction.
 
-    `tau_M` is the torque of the machine (N m).
+    `per_J` is 1 / J.
     """
-    w_M = y[_W_M]
+    tau_f = par.B * w_M
+    if par.coulomb_friction > 0.0:
+        tau_f = _friction(par, w_M)
+    return (tau_M - tau_f - par.tau_L) * per_J, tau_f * w_M
+
+
+@inlined
+def move(par, period, t, w_M, w_L, twist, tau_brake, tau_M):
+    """Derivatives of speeds and angles, t (s) after the period began, and powers.
+
+    Parameters
+    ----------
+    w_M, w_L, twist, tau_brake : float
+        The state (rad/s, rad/s, rad, N m).
+    tau_M : float
+        Torque of the machine (N m).
+
+    Returns
+    -------
+    dw_M, dw_L, dtwist, dtau_brake : derivatives of the state
+    friction, load : power lost, and given to the load (W)
+    """
     tau_f = _friction(par, w_M)
-    dy[_TURN_M] = w_M
-    dy[_LOSS] = tau_f * w_M
-    dy[_TAU_BRAKE] = (par.tau_L - y[_TAU_BRAKE]) * par.brake_rate
+    loss = tau_f * w_M
+    dtau_brake = (par.tau_L - tau_brake) * par.brake_rate
     if par.imposed:
-        dy[_W_M] = 0.0
-        dy[_LOAD] = (tau_M - tau_f) * w_M
-    elif par.shaft:
-        w_L = y[_W_L]
+        return 0.0, 0.0, 0.0, dtau_brake, loss, (tau_M - tau_f) * w_M
+    if par.shaft:
         slip = w_M - w_L
-        tau_shaft = par.shaft_stiffness * y[_TWIST] + par.shaft_damping * slip
-        tau_L = _load_torque(par, period, t, w_L, y[_TAU_BRAKE])
-        dy[_W_M] = (tau_M - tau_f - tau_shaft) / par.J
-        dy[_W_L] = (tau_shaft - tau_L) / par.J_load
-        dy[_TWIST] = slip
-        dy[_LOSS] += par.shaft_damping * slip * slip
-        dy[_LOAD] = tau_L * w_L
-    else:
-        tau_L = _load_torque(par, period, t, w_M, y[_TAU_BRAKE])
-        dy[_W_M] = (tau_M - tau_f - tau_L) / par.J
-        dy[_LOAD] = tau_L * w_M
+        tau_shaft = par.shaft_stiffness * twist + par.shaft_damping * slip
+        tau_L = _load_torque(par, period, t, w_L, tau_brake)
+        dw_M, dw_L = (tau_M - tau_f - tau_shaft) / par.J, (tau_shaft - tau_L) / par.J_load
+        loss += par.shaft_damping * slip * slip
+        return dw_M, dw_L, slip, dtau_brake, loss, tau_L * w_L
+    tau_L = _load_torque(par, period, t, w_M, tau_brake)
+    return (tau_M - tau_f - tau_L) / par.J, 0.0, 0.0, dtau_brake, loss, tau_L * w_M

@@ -28,7 +28,7 @@ def _nothing(*_: Any) -> None:
 
 
 def _never(par: np.void) -> bool:
-    """For a part that the ideal model has too."""
+    """For a part that the simpler model has too."""
     return False
 
 
@@ -58,6 +58,8 @@ class Part:
         each change of a parameter.
     general : callable
         `general(par)`: whether it needs the general model as it is set now.
+    full : callable
+        `full(par)`: whether there it needs the full step (see `steps`).
     rates : callable
         `rates(par)`: inverses of its time constants (1/s), which the general model's step follows.
     """
@@ -69,6 +71,7 @@ class Part:
     start: Callable[[np.void, np.void, Mapping[str, Any], MotorPars], None] = _nothing
     configure: Callable[[np.void, np.void, Mapping[str, Any], MotorPars], None] = _nothing
     general: Callable[[np.void], bool] = _never
+    full: Callable[[np.void], bool] = _never
     rates: Callable[[np.void], list[float]] = _no_rates
 
     def copied(self) -> list[tuple[str, str]]:

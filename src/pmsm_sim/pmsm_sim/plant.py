@@ -219,10 +219,9 @@ class Plant:
                 par[field] = values[name]
             part.configure(par, st, values, self.motor)
         par["general"] = any(part.general(par) for part in PARTS)
-        # the derivatives of a flux map's spline jump from cell to cell
-        longest = 0.02 if par["saturates"] else 0.125
+        par["full"] = any(part.full(par) for part in PARTS)
         fastest = max(rate for part in PARTS for rate in part.rates(par))
-        par["h_general"] = min(longest * par["T_s"], _STEP_PER_TIME_CONSTANT / fastest)
+        par["h_general"] = min(par["h_max"], _STEP_PER_TIME_CONSTANT / fastest)
 
     def block(self, blocked: bool) -> None:
         """Block the gates, or no longer: they come back after a command that has them off."""

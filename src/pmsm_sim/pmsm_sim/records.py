@@ -9,8 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from pmsm_sim.bridge import BRIDGE, ELECTRIC
-from pmsm_sim.columns import FIRST_ENERGY, N_INTEGRATED
+from pmsm_sim.columns import FIRST_ENERGY, N_INTEGRATED, N_ROW
 from pmsm_sim.parts import PARTS
+
+# The instant where a step starts, that where it ends, and another that is looked at; four
+# derivatives.
+WORK_ROWS = 7
 
 PLANT_PAR = np.dtype(
     [
@@ -20,6 +24,7 @@ PLANT_PAR = np.dtype(
         ("h_general", np.float64),  # and of the general one
         # whether there are effects that only the general model has
         ("general", np.bool_),
+        ("full", np.bool_),  # and there, whether only the full step has them
         *(field for part in PARTS for field in part.par),
     ],
     align=True,
@@ -34,6 +39,7 @@ PLANT_STATE = np.dtype(
         *(field for part in PARTS for field in part.state),
         ("bridge", BRIDGE),
         ("electric", ELECTRIC),
+        ("work", np.float64, (WORK_ROWS, N_ROW)),  # of the general model
     ],
     align=True,
 )

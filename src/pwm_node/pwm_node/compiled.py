@@ -64,9 +64,23 @@ def kernel(function: Function) -> Function:
     zero gives inf or nan, as in NumPy. The functions it calls must be defined above it or in
     modules imported above it.
     """
+    return _compiled(function, forceinline=False)
+
+
+def inlined(function: Function) -> Function:
+    """A `kernel` that becomes part of those that call it.
+
+    For small ones in an inner loop: their arguments and results stay in registers.
+    """
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: Function, *, forceinline: bool) -> Function:
     digest = _digest(function)
     function.__kernel_digest__ = digest  # type: ignore[attr-defined]
-    compiled: Any = numba.njit(function, error_model="numpy", nogil=True)
+    compiled: Any = numba.njit(
+        function, error_model="numpy", nogil=True, forceinline=forceinline
+    )
     if compiled is not function:  # it is where numba is switched off
         compiled._cache = _ToBeOpened(compiled, digest)
     return compiled  # type: ignore[no-any-return]
