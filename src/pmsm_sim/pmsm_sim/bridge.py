@@ -373,7 +373,17 @@ def _disagreement(par, br, el, u_dc):
 
 
 @kernel
-def _choose(par, br, el, i_d, i_q, w_m, c, s, u_dc, fixed, flowing):
+def modes_code(br):
+    """How the legs conduct now, as a number that `find_modes` takes."""
+    code, weight = 0, 1
+    for x in range(3):
+        code += weight * (br.mode[x] if br.mode[x] >= 0 else 2)
+        weight *= 3
+    return code
+
+
+@kernel
+def _choose(par, br, el, i_d, i_q, w_m, c, s, u_dc, fixed, flowing, ended):
     """Set the modes of the legs that are not fixed to those that agree best."""
     modes = (0, 1, -1)
     best, best_code = math.inf, 0
@@ -395,6 +405,8 @@ def _choose(par, br, el, i_d, i_q, w_m, c, s, u_dc, fixed, flowing):
             continue
         solve(par, br, el, i_d, i_q, w_m, c, s, u_dc)
         wrong = _disagreement(par, br, el, u_dc)
+        if code == ended:
+            wrong = max(wrong, 2.0 * VOLTAGE_ROUNDING)  # so near its end only if nothing else is
         if wrong < best:
             best, best_code = wrong, code
         if wrong <= VOLTAGE_ROUNDING:
@@ -427,12 +439,13 @@ def _all_conduct(par, br, i_alpha, i_beta, u_dc):
 
 
 @kernel
-def find_modes(par, br, el, i_d, i_q, w_m, c, s, u_dc):
+def find_modes(par, br, el, i_d, i_q, w_m, c, s, u_dc, ended):
     """Find how the legs conduct, after a switching instant or the end of a current.
 
     A leg with current has the mode of its sign. For the others the combination is taken whose
     voltages agree with it; the law of the legs is monotone, so there is one. With iron loss the
-    current depends on the voltage itself, so that no mode is known beforehand.
+    current depends on the voltage itself, so that no mode is known beforehand. `ended` are the
+    modes that have just come to their end (`modes_code`), or -1.
 
     Returns
     -------
@@ -456,7 +469,7 @@ def find_modes(par, br, el, i_d, i_q, w_m, c, s, u_dc):
     if fixed != 7 and not (
         par.iron_conductance > 0.0 and _all_conduct(par, br, i_alpha, i_beta, u_dc)
     ):
-        _choose(par, br, el, i_d, i_q, w_m, c, s, u_dc, fixed, flowing)
+        _choose(par, br, el, i_d, i_q, w_m, c, s, u_dc, fixed, flowing, ended)
     return without_floating(par, br, i_d, i_q, c, s)
 
 

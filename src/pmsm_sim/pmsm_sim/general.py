@@ -23,6 +23,7 @@ from pmsm_sim.bridge import (
     induced,
     join_legs,
     margin,
+    modes_code,
     positive_legs,
     without_floating,
 )
@@ -45,7 +46,7 @@ _C, _S = column("c"), column("s")
 _I_ALPHA, _I_BETA = column("i_alpha"), column("i_beta")
 
 # Changes of conduction in one period: more than any drive has, so that rounding cannot hold it up.
-_MAX_EVENTS = 200
+_MAX_EVENTS = 50
 # Largest electrical angle (rad) of one step where the flux has harmonics, which turn faster.
 _STEP_ANGLE_FINE = 0.02
 # Longest step while a leg floats, over that while all conduct: there it is the current that is
@@ -110,7 +111,7 @@ def _step_to_event(par, st, y, y_end, t, h, end):
         if high - low < 1e-16:
             break
         here = _margin(par, st, y_end)
-        if abs(here) < 1e-13:
+        if abs(here) < 2e-12:
             break
         if here > 0.0:
             low, at_low = length, here
@@ -126,10 +127,10 @@ def _step_to_event(par, st, y, y_end, t, h, end):
 
 
 @kernel
-def _settle(par, st, y):
-    """After a change of the gates or of the conduction: find the modes anew."""
+def _settle(par, st, y, ended):
+    """After a change of the gates (ended = -1) or of the conduction: find the modes anew."""
     c, s, w_m = y[_C], y[_S], par.n_p * y[_W_M]
-    i_d, i_q = find_modes(par, st.bridge, st.electric, y[_I_D], y[_I_Q], w_m, c, s, y[_U_DC])
+    i_d, i_q = find_modes(par, st.bridge, st.electric, y[_I_D], y[_I_Q], w_m, c, s, y[_U_DC], ended)
     if _floats(st):
         y[_I_D], y[_I_Q] = i_d, i_q
         complete(par, st, y)
@@ -278,7 +279,7 @@ def integrate(par, st, i_abc, legs_out):
             j += 1
             continue
         connect_legs(par, st.bridge, st.gates[j])
-        _settle(par, st, y)
+        _settle(par, st, y, -1)
         reach = _reach(par, st, y, j, n) if far else j + 1
         far = True
         t_end = instants[reach]
@@ -309,7 +310,7 @@ def integrate(par, st, i_abc, legs_out):
             y[:] = y_end
             t = t_next
             if event:
-                _settle(par, st, y)
+                _settle(par, st, y, modes_code(st.bridge))
             elif _floats(st):
                 _clean(par, st, y)
     _end(par, st, y)

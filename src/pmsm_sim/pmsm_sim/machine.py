@@ -37,8 +37,7 @@ from pwm_node.parameters import Parameter
 # Harmonics of the magnets' flux
 _HARMONICS = (5, 7, 11, 13)
 
-# Newton's method on a flux map ends after a move of so many cells, or after so many moves.
-_LAST_MOVE = 1e-4
+# Newton's method on a flux map ends after so many moves at the latest.
 _MOST_MOVES = 12
 
 PARAMETERS = (
@@ -249,11 +248,11 @@ def flux(par, i_d, i_q, c, s):
 
 
 @inlined
-def current(par, per_L, psi_d, psi_q, near):
+def current(par, per_L, psi_d, psi_q, near, last_move):
     """Current of a flux linkage (V s) without harmonics: the inverse of `flux`.
 
     A flux map is inverted by Newton's method. The error after an iteration goes with the square
-    of its move, so that of the last one is far below a thousandth of a microampere.
+    of its move.
 
     Parameters
     ----------
@@ -261,6 +260,8 @@ def current(par, per_L, psi_d, psi_q, near):
         1 / L_d, 1 / L_q (1/H).
     near : tuple
         The result at a neighbouring point, from where it starts.
+    last_move : float
+        The iterations end after a move shorter than this, in cells of the flux map.
 
     Returns
     -------
@@ -271,7 +272,7 @@ def current(par, per_L, psi_d, psi_q, near):
         i_d, i_q = (psi_d - par.psi_f) * per_L[0], psi_q * per_L[1]
         return i_d, i_q, psi_d, psi_q, par.L_d, 0.0, par.L_q
     i_d, i_q, at_d, at_q, L_dd, L_dq, L_qq = near
-    small_d, small_q = _LAST_MOVE / par.map.rate[0], _LAST_MOVE / par.map.rate[1]
+    small_d, small_q = last_move / par.map.rate[0], last_move / par.map.rate[1]
     for n in range(_MOST_MOVES):
         off_d, off_q = psi_d - at_d, psi_q - at_q
         inverse = 1.0 / (L_dd * L_qq - L_dq * L_dq)

@@ -45,13 +45,16 @@ _L_DD, _L_DQ, _L_QQ = column("L_dd"), column("L_dq"), column("L_qq")
 
 # Up to this part of the longest step the third order is enough.
 _SHORT = 0.05
+# Where Newton's method on a flux map ends (cells of the map): its error within a step matters by
+# the small R i only, but at its end it is that of the current.
+_ROUGH, _EXACT = 1e-4, 1e-7
 
 
 def _stepper(full: bool) -> Callable[..., Any]:
     """One of the two steps; `full` is known to the compiler."""
 
     @inlined
-    def node(par, per_L, theta_M, c_0, s_0, turn_0, y, near):
+    def node(par, per_L, theta_M, c_0, s_0, turn_0, y, near, last_move):
         """What follows from the state y at one instant.
 
         `near` is the same at a neighbouring instant, in the rotor frame: i_d, i_q, psi_d, psi_q,
@@ -68,7 +71,7 @@ def _stepper(full: bool) -> Callable[..., Any]:
                 more_d, more_q, turn_d, turn_q = harmonics(par, c, s)
                 psi_d -= more_d
                 psi_q -= more_q
-            now = current(par, per_L, psi_d, psi_q, near)
+            now = current(par, per_L, psi_d, psi_q, near, last_move)
             i_alpha, i_beta = stationary(now[0], now[1], c, s)
             tau = y[0] * i_beta - y[1] * i_alpha + turn_d * now[0] + turn_q * now[1]
             tau_M = 1.5 * par.n_p * tau + cogging(par, theta_M + y[3])
@@ -225,25 +228,25 @@ def _stepper(full: bool) -> Callable[..., Any]:
         per_L, per_J = (1.0 / par.L_d, 1.0 / par.L_q), 1.0 / par.J
         k_1, p_1 = slope(par, br, per_J, chopping, period, t, y, at_1)
         y_2 = moved(y, half, k_1)
-        at_2, _, near = node(par, per_L, theta_M, c, s, turn, y_2, near)
+        at_2, _, near = node(par, per_L, theta_M, c, s, turn, y_2, near, _ROUGH)
         k_2, p_2 = slope(par, br, per_J, chopping, period, t + half, y_2, at_2)
         filtered = par.filter_rate > 0.0
         if h < _SHORT * par.h_general and not filtered:
             y_3 = moved(moved(y, 2.0 * h, k_2), -h, k_1)
-            at_3, _, near = node(par, per_L, theta_M, c, s, turn, y_3, near)
+            at_3, _, near = node(par, per_L, theta_M, c, s, turn, y_3, near, _ROUGH)
             k_3, p_3 = slope(par, br, per_J, chopping, period, t + h, y_3, at_3)
             k, p = weighted(k_1, k_2, 4.0, k_3), summed(p_1, p_2, 4.0, p_3)
         else:
             y_3 = moved(y, half, k_2)
-            at_3, _, near = node(par, per_L, theta_M, c, s, turn, y_3, near)
+            at_3, _, near = node(par, per_L, theta_M, c, s, turn, y_3, near, _ROUGH)
             k_3, p_3 = slope(par, br, per_J, chopping, period, t + half, y_3, at_3)
             y_4 = moved(y, h, k_3)
-            at_4, _, near = node(par, per_L, theta_M, c, s, turn, y_4, near)
+            at_4, _, near = node(par, per_L, theta_M, c, s, turn, y_4, near, _ROUGH)
             k_4, p_4 = slope(par, br, per_J, chopping, period, t + h, y_4, at_4)
             k = weighted(weighted(k_1, k_2, 2.0, k_3), k_3, 1.0, k_4)
             p = summed(summed(p_1, p_2, 2.0, p_3), p_3, 1.0, p_4)
         y_end = moved(y, sixth, k)
-        at, angle, near = node(par, per_L, theta_M, c, s, turn, y_end, near)
+        at, angle, near = node(par, per_L, theta_M, c, s, turn, y_end, near, _EXACT)
 
         b[_PSI_ALPHA], b[_PSI_BETA], b[_W_M], b[_TURN_M] = y_end[0], y_end[1], y_end[2], y_end[3]
         b[_U_DC], b[_W_L], b[_TWIST], b[_TAU_BRAKE] = y_end[4], y_end[5], y_end[6], y_end[7]

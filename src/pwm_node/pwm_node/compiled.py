@@ -78,9 +78,7 @@ def inlined(function: Function) -> Function:
 def _compiled(function: Function, *, forceinline: bool) -> Function:
     digest = _digest(function)
     function.__kernel_digest__ = digest  # type: ignore[attr-defined]
-    compiled: Any = numba.njit(
-        function, error_model="numpy", nogil=True, forceinline=forceinline
-    )
+    compiled: Any = numba.njit(function, error_model="numpy", nogil=True, forceinline=forceinline)
     if compiled is not function:  # it is where numba is switched off
         compiled._cache = _ToBeOpened(compiled, digest)
     return compiled  # type: ignore[no-any-return]

@@ -39,7 +39,7 @@ MACHINES: Mapping[str, Mapping[str, Any]] = {
     "saturated": {"motor": "ipmsm", "machine.flux_map": "ipmsm_saturated"},
 }
 
-#: Every effect by itself, in a strength met in practice: what the table of costs goes through.
+#: Every effect by itself, in a strength met in practice.
 EFFECTS: Mapping[str, Mapping[str, Any]] = {
     "none": {},
     "current noise": {"noise.current_rms": 0.0245},
@@ -64,6 +64,31 @@ EFFECTS: Mapping[str, Mapping[str, Any]] = {
     "current bandwidth 20 kHz": {"sensor.current_bandwidth": 2e4},
 }
 
+#: What is on together in realistic drives.
+SETS: Mapping[str, Mapping[str, Any]] = {
+    "servo": {
+        "inverter.dead_time": 2e-6,
+        "inverter.switch_voltage": 1.1,
+        "inverter.switch_resistance": 0.05,
+        "inverter.diode_voltage": 0.9,
+        "inverter.diode_resistance": 0.03,
+        "sensor.encoder_lines": 2500,
+        "sensor.adc_bits": 12,
+        "noise.current_rms": 0.0245,
+        "load.coulomb_friction": 0.1,
+        "load.viscous_friction": 1e-3,
+    },
+    "traction": {
+        "motor": "ipmsm",
+        "machine.flux_map": "ipmsm_saturated",
+        "machine.iron_loss_resistance": 300.0,
+        "machine.emf_5": 0.03,
+        "machine.emf_7": 0.02,
+        "inverter.dead_time": 2e-6,
+        "dc_link.kind": "rectifier",
+    },
+}
+
 #: All that can be on together, for the balance of energy.
 ALL_ON: Mapping[str, Any] = {
     "motor": "ipmsm",
@@ -85,6 +110,21 @@ ALL_ON: Mapping[str, Any] = {
     "load.inertia": 3e-3,
     "load.shaft_stiffness": 300.0,
     "load.shaft_damping": 0.02,
+}
+
+#: What the table of costs goes through: every effect by itself, and sets of them.
+COSTED: Mapping[str, Mapping[str, Any]] = {
+    **EFFECTS,
+    **SETS,
+    "everything": {
+        **SETS["servo"],
+        **ALL_ON,
+        "sensor.current_bandwidth": 2e4,
+        "sensor.encoder_latency": 2e-5,
+        "inverter.timer_clock": 1e8,
+        "drift.temperature": 80.0,
+        "drift.time_constant": 10.0,
+    },
 }
 
 
@@ -391,17 +431,17 @@ def _advance_many(par, st, feedback, state, i_abc, legs, n):  # type: ignore[no-
 
 def costs(*, repeats: int = 7, periods: int = 400) -> dict[str, float]:
     """
-    Time of one period of the plant with each effect by itself, inside compiled code.
+    Time of one period of the plant with effects, inside compiled code.
 
     Returns
     -------
     dict
-        Microseconds by the names of `EFFECTS`: the best of several runs.
+        Microseconds by the names of `COSTED`: the best of several runs.
     """
     found = {}
     feedback, state = np.zeros(1, fixed_dtype(PhaseFeedback)), np.zeros(1, fixed_dtype(DriveState))
     nothing, no_legs = np.zeros(0), np.zeros(0, np.uint8)
-    for name, values in EFFECTS.items():
+    for name, values in COSTED.items():
         plant = Plant(PLANT.complete({"initial_speed_rpm": 750.0, "fault.react": False, **values}))
         plant.par["J"] = 1e12  # the speed stays
         plant.st["duty"] = [[0.53, 0.5, 0.48]]
