@@ -5,15 +5,18 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from figures import Figure, figure, interleaved
 
 from mfpcc_controller.controller import Controller
+from mfpcc_experiments.proofs.validation import SETS
 from mfpcc_experiments.running import Scenario
-from mfpcc_experiments.running.engine import Engine, step_time
+from mfpcc_experiments.running.engine import Engine, parallel, step_time
 from pwm_node import yaml_files
 
 _SCHEMES = ("mfpcc", "mls_mfpcc", "neso_mfpcc")
@@ -28,6 +31,9 @@ def measure(*, quick: bool) -> list[Figure]:
     measures = {
         "plain": _real_time_factor(0, seconds),
         "oversampled": _real_time_factor(20, seconds),
+        "servo": _real_time_factor(0, seconds, SETS["servo"]),
+        "many": _many(seconds, together=True),
+        "many_one_core": _many(seconds, together=False),
     }
     if motulator := _has_motulator():
         measures["motulator"] = lambda: _motulator_factor(0.05 if quick else 0.2)
@@ -43,6 +49,22 @@ def measure(*, quick: bool) -> list[Figure]:
             "real time",
             1.0,
             bar="ratio >= 40",
+        ),
+        figure(
+            "the same with a true servo drive (dead time, drops, encoder, ADC, noise, friction)",
+            factors["servo"],
+            "x",
+            "without any effect",
+            factors["plain"],
+            bar="ratio >= 0.31",
+        ),
+        figure(
+            "eight of these at once, on all cores",
+            factors["many"],
+            "x",
+            "one after the other",
+            factors["many_one_core"],
+            bar="ratio >= 1.8",
         ),
         figure(
             name,
@@ -72,15 +94,19 @@ def measure(*, quick: bool) -> list[Figure]:
     ]
 
 
-def engine_of(scheme: str, oversampling: int) -> Engine:
+def engine_of(
+    scheme: str, oversampling: int, effects: Mapping[str, Any] = MappingProxyType({})
+) -> Engine:
     """`steady_750_2` in process, with so many points of the waveform per period."""
     scenario = yaml_files.load(yaml_files.find("experiments", "steady_750_2"), Scenario)
     plant, controller = scenario.node_parameters(scheme, 0)
-    return Engine({**plant, "oversampling": oversampling}, controller)
+    return Engine({**plant, **effects, "oversampling": oversampling}, controller)
 
 
-def _real_time_factor(oversampling: int, seconds: float) -> Callable[[], float]:
-    engine = engine_of("mls_mfpcc", oversampling)
+def _real_time_factor(
+    oversampling: int, seconds: float, effects: Mapping[str, Any] = MappingProxyType({})
+) -> Callable[[], float]:
+    engine = engine_of("mls_mfpcc", oversampling, effects)
     for _ in engine.run(100):  # kernels compiled or loaded
         pass
 
@@ -89,6 +115,23 @@ def _real_time_factor(oversampling: int, seconds: float) -> Callable[[], float]:
         for _ in engine.run(round(seconds * 10_000)):
             pass
         return seconds / (time.perf_counter() - begin)
+
+    return factor
+
+
+def _many(seconds: float, *, together: bool) -> Callable[[], float]:
+    """Simulated over wall-clock time of eight servo drives, all of them counted."""
+    drives = [engine_of("mls_mfpcc", 0, SETS["servo"]) for _ in range(8)]
+    periods = round(seconds * 10_000)
+
+    def factor() -> float:
+        begin = time.perf_counter()
+        if together:
+            parallel(drives, periods)
+        else:
+            for drive in drives:
+                list(drive.run(periods))
+        return len(drives) * seconds / (time.perf_counter() - begin)
 
     return factor
 

@@ -314,4 +314,6 @@ def integrate(par, st, i_abc, legs_out):
             elif _floats(st):
                 _clean(par, st, y)
     _end(par, st, y)
-    return y[_TURN_M], y[_DC]
+    turn_M, dc = y[_TURN_M], y[_DC]
+    st.work[:] = 0.0  # what is looked at besides the trajectory leaves no trace in the state
+    return turn_M, dc
