@@ -21,6 +21,7 @@ import contextlib
 import itertools
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -152,8 +153,10 @@ class Desk:
         self.folder = folder
         self.trips = trips
         for path in ROOT.iterdir():
-            if path.name not in ("bags", "build", "out", ".git"):
+            if path.name not in ("bags", "build", "out", ".git", "setup.bash"):
                 (folder / path.name).symlink_to(path)
+        # that one knows the folder that it is in, and refuses what was built in another
+        (folder / "setup.bash").write_text(f"source {shlex.quote(str(ROOT / 'setup.bash'))}\n")
         (folder / "bags").mkdir()
         (folder / "bags/reference").symlink_to(ROOT / "bags/reference")
         site = folder / ".site"

@@ -45,7 +45,7 @@ from pmsm_sim.node import PmsmSim
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import yaml_files
 from pwm_node.parameters import Parameter, Table
-from pwm_node.ros.node import AUTOSTART, PwmNode
+from pwm_node.ros.node import AUTOSTART
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -145,17 +145,17 @@ def all_nodes() -> Iterator[list[Node]]:
         writer = stack.enter_context(BagWriter(Path(folder, "bag"), config={}))
         drive = [PmsmSim(context=context), MfpccController(context=context)]
         place = rclpy.Parameter(PARAMETER, value=folder)
-        nodes: list[Node] = [
-            *drive,
-            Replayer(bag, context=context),
-            Recorder(writer, context=context),
+        managed = [*drive, Replayer(bag, context=context)]
+        for node in managed:
+            stack.callback(node.destroy_node)
+            node.trigger_configure()
+        others: list[Node] = [
+            Recorder(writer, context=context),  # subscribes to what has a publisher by now
             BlackBoxNode(drive, context=context, parameter_overrides=[place]),
         ]
-        for node in nodes:
-            stack.callback(node.destroy_node)
-            if isinstance(node, PwmNode):
-                node.trigger_configure()
-        yield nodes
+        for other in others:
+            stack.callback(other.destroy_node)
+        yield [*managed, *others]
 
 
 def of_nodes(nodes: Sequence[Node]) -> Iterator[str]:

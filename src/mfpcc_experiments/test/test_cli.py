@@ -52,7 +52,13 @@ class Fake:
         self.runs.append((scenario.name, scheme, engine, seed, separate))
 
     def compare(
-        self, paths: Any, out: Path, *, window_s: Any = None, progress: Any = None
+        self,
+        paths: Any,
+        out: Path,
+        *,
+        window_s: Any = None,
+        namespace: str | None = None,
+        progress: Any = None,
     ) -> list[dict[str, Any]]:
         self.compared, self.window_s = list(paths), window_s
         (out / "metrics.json").write_text("[]")
