@@ -12,7 +12,7 @@ from engine import engine_of
 from figures import Figure, figure, interleaved
 
 from mfpcc_controller import protection as controller_checks
-from pmsm_sim import protection as plant_checks
+from pmsm_sim.parts import protection as plant_checks
 from pwm_node.compiled import kernel
 
 _PERIODS = 10_000

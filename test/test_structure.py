@@ -28,8 +28,6 @@ ROOMS = (
 )  # fmt: skip
 LONGEST_FILE = 500  # lines
 LARGEST_FOLDER = 16  # modules
-#: The parts of the plant stand beside the models that call them.
-LARGER = {"pmsm_sim": 23}
 
 
 def folder_of(package: str) -> Path:
@@ -127,5 +125,4 @@ def test_no_folder_holds_too_many_modules():
     for path in MODULES.values():
         if path.name != "__init__.py":
             counts[path.parent] = counts.get(path.parent, 0) + 1
-    limits = {f: LARGER.get(f.name, LARGEST_FOLDER) for f in counts}
-    assert {str(f): n for f, n in counts.items() if n > limits[f]} == {}
+    assert {str(f): n for f, n in counts.items() if n > LARGEST_FOLDER} == {}

@@ -39,10 +39,10 @@ from mfpcc_experiments.graph.replayer import TABLE as REPLAYER
 from mfpcc_experiments.measuring import METRICS, Need
 from mfpcc_experiments.running import scenario
 from pmsm_sim import motor
-from pmsm_sim import protection as plant_protection
-from pmsm_sim.injection import MAGNITUDES, UNITS
 from pmsm_sim.node import PmsmSim
 from pmsm_sim.parameters import TABLE as PLANT
+from pmsm_sim.parts import protection as plant_protection
+from pmsm_sim.parts.injection import MAGNITUDES, UNITS
 from pwm_node import yaml_files
 from pwm_node.parameters import Parameter, Table
 from pwm_node.ros.node import AUTOSTART

@@ -7,7 +7,7 @@ import pytest
 
 from mfpcc_experiments.proofs import faults
 from mfpcc_experiments.running import closed_loop
-from pmsm_sim.injection import UNITS
+from pmsm_sim.parts.injection import UNITS
 
 
 def test_there_are_cases_of_every_unit_and_type() -> None:

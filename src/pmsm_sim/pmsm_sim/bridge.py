@@ -24,7 +24,7 @@ import math
 
 import numpy as np
 
-from pmsm_sim.machine import flux
+from pmsm_sim.parts.machine import flux
 from pwm_node.compiled import inlined, kernel
 
 _SQRT3 = math.sqrt(3.0)

@@ -11,11 +11,11 @@ import math
 
 from pmsm_sim.bridge import rail_current, solve
 from pmsm_sim.columns import N_INTEGRATED, column
-from pmsm_sim.dc_link import charge
 from pmsm_sim.frames import stationary
-from pmsm_sim.machine import cogging, flux
-from pmsm_sim.mechanics import move
-from pmsm_sim.sensors import low_pass
+from pmsm_sim.parts.dc_link import charge
+from pmsm_sim.parts.machine import cogging, flux
+from pmsm_sim.parts.mechanics import move
+from pmsm_sim.parts.sensors import low_pass
 from pwm_node.compiled import kernel
 
 _I_D, _I_Q = column("i_d"), column("i_q")

@@ -28,14 +28,14 @@ from pmsm_sim.bridge import (
     without_floating,
 )
 from pmsm_sim.columns import FIRST_ENERGY, N_INTEGRATED, column
-from pmsm_sim.dc_link import begin_dc_link, end_dc_link
 from pmsm_sim.floating import complete, floating_step, solve_at
 from pmsm_sim.frames import phases
 from pmsm_sim.ideal import MAX_STEP_ANGLE
-from pmsm_sim.inverter import begin_gates, rails, remember_gates, set_gates
-from pmsm_sim.mechanics import begin_mechanics, end_mechanics
-from pmsm_sim.part import MOST_STEPS
-from pmsm_sim.sensors import begin_low_pass, end_low_pass, shown
+from pmsm_sim.parts.dc_link import begin_dc_link, end_dc_link
+from pmsm_sim.parts.inverter import begin_gates, rails, remember_gates, set_gates
+from pmsm_sim.parts.mechanics import begin_mechanics, end_mechanics
+from pmsm_sim.parts.part import MOST_STEPS
+from pmsm_sim.parts.sensors import begin_low_pass, end_low_pass, shown
 from pmsm_sim.steps import full_step, plain_step
 from pwm_node.compiled import kernel
 

@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 
 from pmsm_sim.frames import phases, stationary
-from pmsm_sim.inverter import leg_voltage, set_pattern
-from pmsm_sim.part import MOST_STEPS
+from pmsm_sim.parts.inverter import leg_voltage, set_pattern
+from pmsm_sim.parts.part import MOST_STEPS
 from pwm_node.compiled import inlined, kernel
 
 # Largest electrical angle (rad) that one step may cover: keeps the error of the integration

@@ -17,8 +17,8 @@ from mfpcc_msgs.srv import InjectFault
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
-from pmsm_sim.injection import InjectionError
 from pmsm_sim.parameters import TABLE
+from pmsm_sim.parts.injection import InjectionError
 from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
 from pwm_node import compiled
 from pwm_node.ros import spin

@@ -21,7 +21,8 @@ from pmsm_sim.columns import FIRST_ENERGY, INTEGRATED
 from pmsm_sim.flux_map import co_energy
 from pmsm_sim.general import integrate
 from pmsm_sim.ideal import integrate_ideal
-from pmsm_sim.injection import (
+from pmsm_sim.parts import PARTS
+from pmsm_sim.parts.injection import (
     FREEZE,
     LOSE,
     MAX_INJECTIONS,
@@ -35,14 +36,13 @@ from pmsm_sim.injection import (
     inject_sample,
     injection,
 )
-from pmsm_sim.inverter import take_command
-from pmsm_sim.machine import flux, torque
-from pmsm_sim.mechanics import shown_load
-from pmsm_sim.parts import PARTS
-from pmsm_sim.protection import FAULTS, protect
+from pmsm_sim.parts.inverter import take_command
+from pmsm_sim.parts.machine import flux, torque
+from pmsm_sim.parts.mechanics import shown_load
+from pmsm_sim.parts.protection import FAULTS, protect
+from pmsm_sim.parts.sensors import sample, wrapped
+from pmsm_sim.parts.thermal import warm
 from pmsm_sim.records import PLANT_PAR, PLANT_STATE
-from pmsm_sim.sensors import sample, wrapped
-from pmsm_sim.thermal import warm
 from pwm_node import stamps
 from pwm_node.compiled import kernel
 from pwm_node.errors import ForPeople

@@ -22,12 +22,12 @@ from typing import Any
 
 from pmsm_sim.bridge import induced
 from pmsm_sim.columns import column
-from pmsm_sim.dc_link import charge
 from pmsm_sim.frames import stationary
 from pmsm_sim.ideal import small_rotation
-from pmsm_sim.machine import cogging, current, harmonics
-from pmsm_sim.mechanics import accelerate, move
-from pmsm_sim.sensors import low_pass
+from pmsm_sim.parts.dc_link import charge
+from pmsm_sim.parts.machine import cogging, current, harmonics
+from pmsm_sim.parts.mechanics import accelerate, move
+from pmsm_sim.parts.sensors import low_pass
 from pwm_node.compiled import inlined, kernel
 
 _I_D, _I_Q = column("i_d"), column("i_q")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmsm_sim.injection import UNITS, InjectionError
 from pmsm_sim.parameters import TABLE
+from pmsm_sim.parts.injection import UNITS, InjectionError
 from pwm_node.parameters import ParameterError
 
 

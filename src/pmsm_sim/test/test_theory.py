@@ -81,7 +81,7 @@ def test_no_load_emf_with_harmonics(bench):
     """Gates blocked: the terminals show the EMF; here through the torque per ampere."""
     drive = bench(machine_emf_5=0.1, machine_emf_7=0.05)
     par = drive.par[0]
-    from pmsm_sim.machine import flux
+    from pmsm_sim.parts.machine import flux
 
     theta = np.linspace(0.0, 2.0 * np.pi, 361)
     psi = np.array([flux(par, 0.0, 0.0, np.cos(x), np.sin(x))[:2] for x in theta]) @ [1.0, 1j]

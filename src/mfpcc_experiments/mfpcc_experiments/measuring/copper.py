@@ -11,7 +11,7 @@ import numpy as np
 from mfpcc_experiments.measuring import happened
 from mfpcc_experiments.measuring.window import window_rows
 from pmsm_sim.parameters import TABLE as PLANT
-from pmsm_sim.thermal import REFERENCE_TEMPERATURE
+from pmsm_sim.parts.thermal import REFERENCE_TEMPERATURE
 
 if TYPE_CHECKING:
     from mfpcc_experiments.bags import Recording

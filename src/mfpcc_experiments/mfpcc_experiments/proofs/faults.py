@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.running import Engine
-from pmsm_sim.injection import UNITS
 from pmsm_sim.parameters import TABLE as PLANT
+from pmsm_sim.parts.injection import UNITS
+from pmsm_sim.parts.protection import OVERCURRENT
 from pmsm_sim.plant import Plant
-from pmsm_sim.protection import OVERCURRENT
 from pwm_node.ros import ros_environment
 from pwm_node.wire import fixed_dtype, fixed_size
 

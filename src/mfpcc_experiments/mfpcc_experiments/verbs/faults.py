@@ -34,7 +34,7 @@ def command(unit: str, engine: str, brief: bool, no_control: bool) -> int:
     """
     from mfpcc_experiments.progress import progress_bar
     from mfpcc_experiments.proofs import faults
-    from pmsm_sim.injection import UNITS
+    from pmsm_sim.parts.injection import UNITS
     from pwm_node.names import unknown
 
     if unit and unit not in UNITS:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pmsm_sim.motor import MotorPars
-from pmsm_sim.part import Part
-from pmsm_sim.protection import COMMAND_LOST, trip
+from pmsm_sim.parts.part import Part
+from pmsm_sim.parts.protection import COMMAND_LOST, trip
 from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 

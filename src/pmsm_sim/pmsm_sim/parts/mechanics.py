@@ -16,7 +16,7 @@ import numpy as np
 
 from pmsm_sim.columns import column
 from pmsm_sim.motor import MotorPars
-from pmsm_sim.part import MOST_STEPS, Part
+from pmsm_sim.parts.part import MOST_STEPS, Part
 from pwm_node.compiled import inlined, kernel
 from pwm_node.parameters import Parameter
 from pwm_node.units import RPM

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pmsm_sim.motor import MotorPars
-from pmsm_sim.part import Part
+from pmsm_sim.parts.part import Part
 from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.noise import normal
-from pmsm_sim.part import Part
+from pmsm_sim.parts.part import Part
 from pwm_node.compiled import kernel
 from pwm_node.names import unknown
 from pwm_node.parameters import Parameter

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pmsm_sim import (
+from pmsm_sim.parts import (
     dc_link,
     injection,
     inverter,

@@ -17,8 +17,8 @@ from pmsm_sim.columns import column
 from pmsm_sim.frames import phases, stationary
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.noise import normal
-from pmsm_sim.part import MOST_STEPS, Part
-from pmsm_sim.protection import allowed_current
+from pmsm_sim.parts.part import MOST_STEPS, Part
+from pmsm_sim.parts.protection import allowed_current
 from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 

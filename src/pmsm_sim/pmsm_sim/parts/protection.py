@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pmsm_sim.motor import MotorPars
-from pmsm_sim.part import Part
+from pmsm_sim.parts.part import Part
 from pwm_node import faults
 from pwm_node.compiled import kernel
 from pwm_node.faults import REACT, Fault, Faults

@@ -30,7 +30,7 @@ import numpy as np
 from pmsm_sim import flux_map
 from pmsm_sim.flux_map import co_energy
 from pmsm_sim.motor import MotorPars
-from pmsm_sim.part import MOST_STEPS, Part
+from pmsm_sim.parts.part import MOST_STEPS, Part
 from pwm_node.compiled import inlined, kernel
 from pwm_node.parameters import Parameter
 

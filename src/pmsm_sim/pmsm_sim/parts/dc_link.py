@@ -10,7 +10,7 @@ import numpy as np
 
 from pmsm_sim.columns import column
 from pmsm_sim.motor import MotorPars
-from pmsm_sim.part import Part
+from pmsm_sim.parts.part import Part
 from pwm_node.compiled import inlined, kernel
 from pwm_node.parameters import Parameter
 
