@@ -132,7 +132,7 @@ class Wire:
             self._counts.append((field, 4 + count, _u32(length)))
 
         self._plain = not self._counts and self._string is None
-        self._base = memoryview(self._message)
+        self._base = self._message.data
         self._resize(4 + end)
         if self._string is not None:
             self.set_string(self._string, "")

@@ -283,7 +283,7 @@ class _Messages:
     def __init__(self, msg_class: Any, rows: Any) -> None:
         self._stride = rows.dtype.itemsize
         self._size = fixed_size(msg_class)
-        self._bytes = memoryview(np.ascontiguousarray(rows).view(np.uint8))
+        self._bytes = np.ascontiguousarray(rows).view(np.uint8).data
 
     def __getitem__(self, row: int) -> bytes:
         begin = row * self._stride

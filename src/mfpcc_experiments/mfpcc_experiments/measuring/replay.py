@@ -332,7 +332,7 @@ def _as_the_duties_say(recording: Recording) -> NDArray[np.void]:
     vectors, dwell, duty = command["vectors"].astype(np.int64), command["dwell"], command["duty"]
     if not (np.isfinite(duty).all() and duty.min() >= 0.0 and duty.max() <= 1.0):
         raise ReplayError(f"{recording.path}: it holds duties that are not within 0..1")
-    known = (vectors <= 6).all(axis=1)
+    known: NDArray[np.bool_] = np.all(vectors <= 6, axis=1)
     legs = LEGS[np.where(known[:, None], vectors, 0)]
     made = (legs * dwell[:, :, None]).sum(axis=1) + 0.5 * (1.0 - dwell.sum(axis=1))[:, None]
     odd = ~(known & (np.abs(made - duty) <= _SAME_DUTY).all(axis=1))

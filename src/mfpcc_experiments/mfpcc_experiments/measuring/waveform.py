@@ -223,7 +223,8 @@ def spectrum(part: Fundamental, sampling_rate: float) -> tuple[Array, Array]:
     if n % 2 == 0:
         lines[-1] /= math.sqrt(2.0)  # the line at half the sampling rate has no mirror image
     lines[part.periods] = 1.0
-    return np.fft.rfftfreq(n, 1.0 / sampling_rate)[1:], lines[1:]
+    frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / sampling_rate), dtype=np.float64)
+    return frequency[1:], lines[1:]
 
 
 def thd(x: Array, theta: Array) -> float | None:
