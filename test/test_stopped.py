@@ -121,9 +121,13 @@ def test_in_lock_step_a_forged_sample_does_not_stop_the_loop_for_ever(
         forger.publish(forged)
     stood = forged.period
     outside.until_beyond(stood + 100, "the loop goes on")
-    if outside.codes("mfpcc_controller") or outside.codes("pmsm_sim"):
-        run_again(outside)
-    assert outside.enabled("pmsm_sim") and outside.enabled("mfpcc_controller")
+
+    def drives() -> bool:
+        if outside.codes("mfpcc_controller") or outside.codes("pmsm_sim"):
+            run_again(outside)
+        return outside.enabled("pmsm_sim") and outside.enabled("mfpcc_controller")
+
+    outside.until(drives, "both are enabled")
     for process in (controller, plant):
         process.signal(signal.SIGINT)
         assert process.wait() == 0, process.output

@@ -25,16 +25,12 @@ class Host:
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.timers: list[Callable[[], None]] = []
-        self.tell: Callable[[bytes], None]
 
     def get_namespace(self) -> str:
         return "/axis1"
 
     def get_logger(self) -> Any:
         return SimpleNamespace(info=self.lines.append, error=self.lines.append)
-
-    def create_subscription(self, kind: Any, topic: str, callback: Any, *more: Any, **_: Any):
-        self.tell = callback
 
     def create_timer(self, interval: float, callback: Callable[[], None], clock: Any) -> Any:
         self.timers.append(callback)
@@ -67,7 +63,7 @@ class Drive:
         told = [DriveFault(code=code, period=at, detail="as seen") for code, at in faults]
         status = DriveStatus(node=node, state=state, period=period, faults=told)
         status.stamp.sec, status.stamp.nanosec = divmod(period * 100_000, 10**9)
-        self.host.tell(serialize_message(status))
+        self.box.on_status(serialize_message(status))
 
     def written(self) -> list[dict[str, Any]]:
         """All that was written, after the last of it is."""

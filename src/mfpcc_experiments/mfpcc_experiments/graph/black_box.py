@@ -58,7 +58,7 @@ class BlackBox:
     Parameters
     ----------
     node : Node
-        Listens to `drive_status`, in the namespace of the drive.
+        In the namespace of the drive.
     directory : Path
         Where bags and list go. The box of a drive in a namespace has a folder of its own in it.
     nodes : mapping of DriveNode
@@ -70,6 +70,8 @@ class BlackBox:
     ----------
     rings : dict of deque
         By topic: what is published there is to be appended, serialized.
+    on_status : callable
+        To be given each message of `drive_status`, serialized.
     """
 
     def __init__(
@@ -91,12 +93,10 @@ class BlackBox:
         self._timer: Timer | None = None
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="black_box")
         self._writing: Future[None] | None = None
-        latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         logger = node.get_logger()
         # Whatever comes: a black box is no reason for a drive to end.
-        on_status = guard.callback(self._on_status, f"{STATUS}: message dropped", logger)
+        self.on_status = guard.callback(self._on_status, f"{STATUS}: message dropped", logger)
         self._look = guard.callback(self._look_on, "black box", logger)
-        node.create_subscription(DriveStatus, STATUS, on_status, latest, raw=True)
 
     def close(self) -> None:
         """Write what is there of a fault whose time after it has not come."""
@@ -253,6 +253,8 @@ class BlackBoxNode(Node):
             box = self._box = BlackBox(self, Path(directory), by_name, pwm_frequency)
             for node in nodes:
                 node.tap = lambda topic: box.rings[topic].append
+            latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            self.create_subscription(DriveStatus, STATUS, box.on_status, latest, raw=True)
 
     def destroy_node(self) -> None:
         """Write what is to be written, and leave the graph."""

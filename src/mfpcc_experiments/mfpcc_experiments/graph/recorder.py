@@ -30,6 +30,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_profile_parameter_events,
 )
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
@@ -133,7 +134,8 @@ class Recorder(Node):
             self._on_event, "/parameter_events: message dropped", logger
         )
         on_status = guard.callback(self._on_status, "drive_status: message dropped", logger)
-        self.create_subscription(DriveStatus, "drive_status", on_status, _EVERY_STATUS)
+        self._statuses: list[bytes] = []  # those that a black box shall have when it opens
+        self.create_subscription(DriveStatus, "drive_status", on_status, _EVERY_STATUS, raw=True)
         self.create_timer(_TAKE_EVERY, self.take_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if black_box is not None:
             self._ask_the_drive()
@@ -220,6 +222,9 @@ class Recorder(Node):
         elif period > self._first[1] and stamp > self._first[0]:
             pwm_frequency = stamps.frequency(self._first[0], stamp, period - self._first[1])
             self._box = BlackBox(self, directory, self.drive, pwm_frequency)
+            for data in self._statuses:
+                self._box.on_status(data)
+            self._statuses.clear()
 
     def _out_of_step(self, topic: str, step: int) -> None:
         """Count what is missing; how many periods apart messages are, the first ones tell."""
@@ -233,8 +238,13 @@ class Recorder(Node):
         else:
             self.gaps[topic] += step // known - 1
 
-    def _on_status(self, message: DriveStatus) -> None:
+    def _on_status(self, data: bytes) -> None:
         """Keep the faults that are new: those of before this recorder too, if they last."""
+        if self._box is not None:
+            self._box.on_status(data)
+        elif self._black_box is not None:
+            self._statuses.append(data)
+        message = deserialize_message(data, DriveStatus)
         reported = [(fault.code, int(fault.period), fault.detail) for fault in message.faults]
         self.latched += [f for f in latched(message.node, reported) if f not in self.latched]
 
