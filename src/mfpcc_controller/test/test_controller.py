@@ -13,6 +13,7 @@ from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import SCHEMES, TABLE
 from mfpcc_controller.plug_in import Output, Sample, Scheme
 from mfpcc_controller.schemes import MEMORY_FIELDS
+from pwm_node import bits
 from pwm_node.wire import fixed_dtype
 
 # What the node does, not the controller
@@ -60,9 +61,9 @@ def other_value(name: str) -> object:
 def test_an_accepted_parameter_acts(name):
     # a machine with saliency: maximum torque per ampere does nothing without
     controller = Controller(TABLE.complete({"motor": "ipmsm"}))
-    before = controller.cfg.tobytes()
+    before = bits.of(controller.cfg)
     controller.apply(TABLE.validate({name: other_value(name)}, controller.values))
-    assert controller.cfg.tobytes() != before
+    assert bits.of(controller.cfg) != before
 
 
 def test_rules_across_parameters():

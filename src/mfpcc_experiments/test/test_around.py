@@ -12,7 +12,7 @@ import yaml
 from mfpcc_controller import motor as motors
 from mfpcc_experiments.method.drives import ENCODER, random_drive, settled
 from mfpcc_experiments.running.closed_loop import Run, run
-from pwm_node import yaml_files
+from pwm_node import bits, yaml_files
 
 RPM = math.pi / 30.0
 
@@ -52,7 +52,7 @@ def test_some_schemes_are_deadbeat_by_themselves(scheme):
     own, deadbeat = (
         run(scheme, 0.05, plant=ENCODER, controller={"deadbeat.gain": gain}) for gain in (0.0, 1.0)
     )
-    assert own.command.tobytes() == deadbeat.command.tobytes()
+    assert bits.of(own.command) == bits.of(deadbeat.command)
 
 
 @pytest.mark.parametrize("frequency", [1e3, 2e3])

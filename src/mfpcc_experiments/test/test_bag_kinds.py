@@ -24,6 +24,7 @@ from mfpcc_experiments.bags import BagError, BagWriter, bag_parts, recording, re
 from mfpcc_experiments.bags.disk.mcap_format import MAGIC
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, json_record
 from mfpcc_experiments.notes import Severity
+from pwm_node import bits
 
 ARRAYS = ("feedback", "command", "lut", "state", "scheme", "i_abc_oversampled", "legs_oversampled")
 PERIODS = 60
@@ -40,7 +41,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> recording.Recording:
 
 def same(found: recording.Recording, expected: recording.Recording) -> None:
     for name in ARRAYS:
-        assert getattr(found, name).tobytes() == getattr(expected, name).tobytes(), name
+        assert bits.of(getattr(found, name)) == bits.of(getattr(expected, name)), name
     assert found.T_s == pytest.approx(expected.T_s) and found.n_p == expected.n_p
     assert found.lost_periods == 0
     assert [n for n in found.notes if n.severity != Severity.INFO] == []
@@ -140,7 +141,7 @@ def test_two_drives_one_after_the_other(tmp_path: Path) -> None:
         assert set(found[-1].scheme) == {"pi_foc"} and len(found[-1].feedback) == 80
         assert "50 periods of the others are left out" in str(found[-1].notes[-1])
         for name in ARRAYS[:5]:
-            assert getattr(found[-1], name).tobytes() == getattr(found[0], name).tobytes()
+            assert bits.of(getattr(found[-1], name)) == bits.of(getattr(found[0], name))
 
 
 def test_two_drives_at_once_are_refused(tmp_path: Path) -> None:
@@ -158,7 +159,7 @@ def test_a_part_that_is_there_twice_changes_nothing(
     path = bag_kinds.write(tmp_path / "b", [MESSAGES, MESSAGES[40:80]], Kind(), METADATA)
     found = recording.read(path)
     for name in ARRAYS:
-        assert getattr(found, name).tobytes() == getattr(expected, name).tobytes()
+        assert bits.of(getattr(found, name)) == bits.of(getattr(expected, name))
     assert "phase_feedback: 10 period numbers come twice" in " ".join(map(str, found.notes))
 
 
@@ -195,7 +196,7 @@ def test_a_stray_file_is_left_out_and_told(
     other = bag_kinds.write(tmp_path / "other", [messages(30, scheme="pi_foc")], Kind(name="x"))
     shutil.copy(other / "x_0.mcap", split / "run_1.5_3_copy.mcap")
     found = recording.read(split)
-    assert found.feedback.tobytes() == expected.feedback.tobytes()
+    assert bits.of(found.feedback) == bits.of(expected.feedback)
     (text,) = warnings(found)
     assert text.startswith("run_1.5_3_copy.mcap in the folder is not a part of the bag")
 
@@ -243,7 +244,7 @@ def test_counts_that_lie(split: Path) -> None:
 def test_metadata_that_cannot_be_read(split: Path, expected: recording.Recording) -> None:
     (split / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
     found = recording.read(split)
-    assert found.feedback.tobytes() == expected.feedback.tobytes()
+    assert bits.of(found.feedback) == bits.of(expected.feedback)
     assert warnings(found) == ["metadata.yaml cannot be read; all 10 files in the folder count"]
 
 

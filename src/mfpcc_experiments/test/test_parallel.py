@@ -8,6 +8,7 @@ from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.proofs.validation import SETS
 from mfpcc_experiments.running.engine import Engine, parallel
 from pmsm_sim.parameters import TABLE as PLANT
+from pwm_node import bits
 
 
 def _drive(n: int) -> Engine:
@@ -27,8 +28,7 @@ def _drive(n: int) -> Engine:
 
 def _bits(traces):
     return [
-        (t.feedback.tobytes(), t.command.tobytes(), t.state.tobytes(), t.lut.tobytes())
-        for t in traces
+        (bits.of(t.feedback), bits.of(t.command), bits.of(t.state), bits.of(t.lut)) for t in traces
     ]
 
 

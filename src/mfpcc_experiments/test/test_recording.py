@@ -15,6 +15,7 @@ from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, 
 from mfpcc_experiments.bags.definitions import message_definition
 from mfpcc_experiments.bags.disk.mcap_format import MAGIC
 from mfpcc_experiments.measuring import happened, metrics, window
+from pwm_node import bits
 from pwm_node.wire import Wire
 
 
@@ -410,6 +411,6 @@ def test_random_mutations_never_give_wrong_numbers_silently(make_bag):
             continue
         assert found.config == expected.config
         for name in ("feedback", "command", "lut", "state", "scheme"):
-            assert getattr(found, name).tobytes() == getattr(expected, name).tobytes()
+            assert bits.of(getattr(found, name)) == bits.of(getattr(expected, name))
     assert len(messages) > 200
     assert all(str(path) in text and "\n" not in text for text in messages)

@@ -13,7 +13,7 @@ import pytest
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_experiments.method.drives import ENCODER, MISMATCH, random_drive, wrong_model
 from mfpcc_experiments.running.closed_loop import Run, run
-from pwm_node import yaml_files
+from pwm_node import bits, yaml_files
 
 ENCODERS = pytest.mark.parametrize("plant", [{}, ENCODER], ids=["ideal", "2500_lines"])
 POINTS = [(750.0, 2.0), (750.0, 5.0), (300.0, 2.0), (1000.0, 2.0)]
@@ -447,7 +447,7 @@ def test_mismatch_can_come_while_running():
 def test_a_run_repeats_bit_by_bit():
     first, second = (run("mls_mfpcc", 0.1, plant=ENCODER) for _ in range(2))
     for name in ("feedback", "command", "lut", "state"):
-        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+        assert bits.of(getattr(first, name)) == bits.of(getattr(second, name))
 
 
 def test_diagnostics_tell_what_the_scheme_does():

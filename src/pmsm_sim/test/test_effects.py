@@ -8,6 +8,7 @@ import pytest
 from pmsm_sim.noise import normal
 from pmsm_sim.parameters import TABLE
 from pmsm_sim.plant import Plant, PlantError
+from pwm_node import bits
 from pwm_node.parameters import ParameterError
 
 _RPM = 2.0 * np.pi / 60.0
@@ -300,7 +301,7 @@ def test_every_live_parameter_acts_when_changed_live(bench, name):
         drive.run(20, duty)
         drive.run(2, command=False)
         drive.run(10, duty)
-        return b"".join(row.tobytes() for row in drive.feedback + drive.state)
+        return b"".join(bits.of(row) for row in drive.feedback + drive.state)
 
     assert (seen(change) == seen({})) is False
 

@@ -7,6 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from pwm_node import bits
+
 
 @pytest.fixture
 def bench(unprotected):
@@ -133,5 +135,5 @@ def test_a_run_is_the_same_bit_for_bit(bench):
     for n in (0, 0, 13):
         drive = bench(motor="ipmsm", oversampling=n, **values)
         drive.run(100, lambda k: duties[k])
-        runs.append((drive.st["i_d"].tobytes(), [row.tobytes() for row in drive.feedback]))
+        runs.append((bits.of(drive.st["i_d"]), [bits.of(row) for row in drive.feedback]))
     assert runs[0] == runs[1] == runs[2]

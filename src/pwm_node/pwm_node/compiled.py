@@ -31,6 +31,8 @@ from numba.core import event as numba_event
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 
+from pwm_node import bits
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Folders of earlier sources are kept a while: other checkouts on this machine may use them.
@@ -240,7 +242,7 @@ def _frozen(name: str, value: Any, user: Callable[..., Any]) -> bytes:
             return b""
         return f"{name}={_digest(value)}\n".encode()
     if isinstance(value, np.ndarray):
-        return f"{name}={value.dtype}{value.shape}\n".encode() + value.tobytes()
+        return f"{name}={value.dtype}{value.shape}\n".encode() + bits.of(value)
     if isinstance(value, tuple):
         return b"".join(_frozen(f"{name}[{n}]", item, user) for n, item in enumerate(value))
     if isinstance(value, (bool, int, float, complex, str, bytes, np.generic, np.dtype)):

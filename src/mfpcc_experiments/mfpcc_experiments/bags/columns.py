@@ -19,6 +19,7 @@ from mfpcc_experiments.bags.disk.mcap_file import Topic
 from mfpcc_experiments.bags.errors import BagError
 from mfpcc_experiments.bags.layouts import Layout
 from mfpcc_experiments.bags.topics import LOOP_TOPICS
+from pwm_node import bits
 
 #: Which rows of a column: of all that were read, in this order.
 Rows = slice | NDArray[np.int64]
@@ -174,7 +175,7 @@ class Column:
         differ = np.zeros(len(one), np.bool_)
         for parts in self._contents():
             for n, (a, b) in enumerate(zip(_pick(parts, one), _pick(parts, other), strict=True)):
-                differ[n] |= a.tobytes() != b.tobytes()
+                differ[n] |= bits.of(a) != bits.of(b)
         where = np.flatnonzero(differ)
         return int(where[0]) if len(where) else None
 

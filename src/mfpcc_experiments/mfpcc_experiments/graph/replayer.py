@@ -26,6 +26,7 @@ from mfpcc_msgs.msg import DriveState, DutyCommand, PhaseFeedback
 
 from mfpcc_experiments.bags import BagError, Recording, recording
 from mfpcc_experiments.files import write_whole
+from pwm_node import bits
 from pwm_node.parameters import Parameter, Table
 from pwm_node.ros import spin
 from pwm_node.ros.diagnostics import Part
@@ -283,7 +284,7 @@ class _Messages:
     def __init__(self, msg_class: Any, rows: Any) -> None:
         self._stride = rows.dtype.itemsize
         self._size = fixed_size(msg_class)
-        self._bytes = np.ascontiguousarray(rows).view(np.uint8).data
+        self._bytes = bits.with_clean_gaps(rows).view(np.uint8).data
 
     def __getitem__(self, row: int) -> bytes:
         begin = row * self._stride

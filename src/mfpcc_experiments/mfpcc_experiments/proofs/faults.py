@@ -31,6 +31,7 @@ from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.parts.injection import UNITS
 from pmsm_sim.parts.protection import OVERCURRENT
 from pmsm_sim.plant import Plant
+from pwm_node import bits
 from pwm_node.ros import ros_environment
 from pwm_node.wire import fixed_dtype, fixed_size
 
@@ -383,7 +384,7 @@ _NO_STOP = {"PREDICTION", "SCHEME"}
 
 def _was_there(run: _Run, unharmed: _Run, begin: int) -> bool:
     same = all(
-        getattr(run, name)[begin - 2 :].tobytes() == getattr(unharmed, name)[begin - 2 :].tobytes()
+        bits.of(getattr(run, name)[begin - 2 :]) == bits.of(getattr(unharmed, name)[begin - 2 :])
         for name in ("state", "feedback")
     )
     return run.counted != unharmed.counted or not same
