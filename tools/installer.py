@@ -275,7 +275,9 @@ def _index_of(settings: Mapping[str, str]) -> str:
     """Return which index it is, without what may be a password."""
     if _is_true(settings.get("no-index", "")):
         return "pip is told to use none"
-    parts = urlsplit(settings.get("index-url", "https://pypi.org/simple"))
+    if "index-url" not in settings:
+        return "the one that pip uses by default"
+    parts = urlsplit(settings["index-url"])
     return parts.hostname or parts.path
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ class UnlessCondition(Condition):
     wanted = False
 
 
-class Action:
+class Action(ABC):
     """
     A step of a launch file.
 
@@ -63,9 +64,9 @@ class Action:
         if self._condition is None or self._condition.holds(context):
             self.execute(context)
 
+    @abstractmethod
     def execute(self, context: LaunchContext) -> None:
         """Do the step."""
-        raise NotImplementedError
 
     def inner(self) -> Iterable[Action]:
         """Return the steps in this one, as far as they are known before it is done."""

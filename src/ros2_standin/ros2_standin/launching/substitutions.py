@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,12 @@ from ros2_standin.launching.context import LaunchContext
 from ros2_standin.launching.output import LaunchError
 
 
-class Substitution:
+class Substitution(ABC):
     """A text that is known only when the launch file runs."""
 
+    @abstractmethod
     def perform(self, context: LaunchContext) -> str:
         """Return the text."""
-        raise NotImplementedError
 
 
 #: What launch files may give for a text: parts that are put together.
