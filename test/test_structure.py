@@ -6,6 +6,8 @@ docs/architecture.md is the map; what it says of the packages is checked here to
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -126,3 +128,14 @@ def test_no_folder_holds_too_many_modules():
         if path.name != "__init__.py":
             counts[path.parent] = counts.get(path.parent, 0) + 1
     assert {str(f): n for f, n in counts.items() if n > LARGEST_FOLDER} == {}
+
+
+def test_the_oldest_python_has_all_that_is_used() -> None:
+    """A name that only a newer standard library has is met at run time, on that Python alone."""
+    vermin = Path(sys.executable).with_name("vermin")
+    options = ("--no-tips", "--quiet", "--target=3.10-", "--violations")
+    not_the_module = ("--exclude", "operator.call")  # of a fixture
+    places = [ROOT / name for name in ("src", "tools", "bench", "test", "conftest.py")]
+    command = [vermin, *options, *not_the_module, *places]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert found.returncode == 0, found.stdout + found.stderr

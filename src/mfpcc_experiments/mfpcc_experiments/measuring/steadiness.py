@@ -9,7 +9,7 @@ control, or with samples missing. Whatever is missing, a note says why.
 from __future__ import annotations
 
 import math
-from enum import StrEnum
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -134,7 +134,7 @@ def is_steady(
     )
 
 
-class Need(StrEnum):
+class Need(Enum):
     """What a window, or its run, must offer for a figure; as the reference page prints it."""
 
     STEADY = "a steady state"
