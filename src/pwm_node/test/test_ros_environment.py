@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -64,6 +65,30 @@ def test_arguments(domain, arguments, reason):
     with pytest.raises(RosError, match=f"^{reason}") as caught:
         ros_environment.init(["--ros-args", *arguments.split()], Context())
     assert "/src/" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_without_a_home_the_logs_go_elsewhere(monkeypatch, tmp_path, capsys):
+    for name in ("ROS_LOG_DIR", "ROS_HOME"):
+        monkeypatch.setenv(name, "")  # as if it were not there
+    monkeypatch.setenv("HOME", "/proc/nohome")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    ros_environment.check()
+    ros_environment.check()
+    said = capsys.readouterr().err
+    assert said.startswith("/proc/nohome/.ros/log cannot be written to: ROS's logs go to")
+    assert said.count("\n") == 1
+    assert Path(os.environ["ROS_LOG_DIR"]).parent == tmp_path
+    context = Context()
+    ros_environment.init([], context)
+    context.shutdown()
+
+
+def test_a_home_that_can_be_written_to_has_the_logs(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("ROS_LOG_DIR", "")
+    monkeypatch.setenv("ROS_HOME", str(tmp_path))
+    ros_environment.check()
+    assert not os.environ["ROS_LOG_DIR"] and not capsys.readouterr().err
+    assert not list((tmp_path / "log").iterdir())
 
 
 def test_no_place_for_the_logs():

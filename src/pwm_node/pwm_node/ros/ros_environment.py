@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 import re
+import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,6 +69,7 @@ def check(*, processes: int = 1) -> None:
         if file and not os.access(file, os.R_OK):
             raise RosError(f"{name}={file}: no such file that could be read; or unset {name}")
     _check_shared_memory()
+    _find_room_for_logs()
 
 
 def _check_middleware(wanted: str) -> None:
@@ -93,6 +96,26 @@ def _check_shared_memory() -> None:
             f"{_SHARED_MEMORY} is full ({free >> 10} KiB free, {_NEEDED >> 20} MiB needed): "
             "nodes talk through it; remove what nobody uses there"
         )
+
+
+def _find_room_for_logs() -> None:
+    """Let ROS's logs go to a temporary folder where there is no home that can be written to."""
+    if os.environ.get("ROS_LOG_DIR"):
+        return  # who chose a folder is told if it is no good
+    home = os.environ.get("ROS_HOME")
+    folder = (Path(home) if home else Path.home() / ".ros") / "log"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return
+    except OSError:
+        instead = os.path.join(tempfile.gettempdir(), f"ros-logs-{os.getuid()}")
+    os.environ["ROS_LOG_DIR"] = instead  # of the processes that this one starts, too
+    print(
+        f"{folder} cannot be written to: ROS's logs go to {instead} (ROS_LOG_DIR names another "
+        "folder)",
+        file=sys.stderr,
+    )
 
 
 def init(args: Sequence[str] | None, context: Context) -> None:
