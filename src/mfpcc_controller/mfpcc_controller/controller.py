@@ -241,14 +241,18 @@ class Controller:
     ----------
     values : mapping
         A value for every parameter of `mfpcc_controller.parameters.TABLE`.
+    est_par : EstimatedPars, optional
+        The motor, where it has been read already.
 
     Attributes
     ----------
     cfg, mem : arrays of length 1 of `CONTROL_CFG`, `CONTROL_MEMORY`
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self.motor = motor.load(values["motor"])
+    def __init__(
+        self, values: Mapping[str, Any], est_par: motor.EstimatedPars | None = None
+    ) -> None:
+        self.motor = est_par or motor.load(values["motor"])
         self.values = dict(values)
         self.cfg = np.zeros(1, CONTROL_CFG)
         self.mem = np.zeros(1, CONTROL_MEMORY)

@@ -183,6 +183,8 @@ class Plant:
     ----------
     values : mapping
         A value for every parameter of `pmsm_sim.parameters.TABLE`.
+    machine : MotorPars, optional
+        The motor, where it has been read already.
 
     Attributes
     ----------
@@ -194,8 +196,8 @@ class Plant:
         If the motor or the flux map cannot be used.
     """
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self.motor = motor.load(values["motor"])
+    def __init__(self, values: Mapping[str, Any], machine: motor.MotorPars | None = None) -> None:
+        self.motor = machine or motor.load(values["motor"])
         self._values = dict(values)
         self.oversampling: int = values["oversampling"]
         self.par = np.zeros(1, PLANT_PAR)
@@ -215,7 +217,7 @@ class Plant:
         self._values.update(changes)
         par, st, values = self.par[0], self.st[0], self._values
         for part in PARTS:
-            for name, field in part.copied():
+            for name, field in part.copied:
                 par[field] = values[name]
             part.configure(par, st, values, self.motor)
         par["general"] = any(part.general(par) for part in PARTS)

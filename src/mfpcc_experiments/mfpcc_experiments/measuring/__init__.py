@@ -7,6 +7,7 @@ draw, and `columns` makes the table for other tools.
 
 From the bottom: `waveform` (pure functions), `window`, `happened`, `steadiness` (what a window can
 be asked), `copper`, `steps`, `content` (what figures are computed from), `metrics`, `measured`.
+`compiled` and `compiled_steadiness` are the figures of a window once more, for compiled loops.
 """
 
 from __future__ import annotations

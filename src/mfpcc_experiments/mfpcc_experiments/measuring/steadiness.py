@@ -45,23 +45,23 @@ TRANSIENT = 0.05
 #: movement together. What passes adds less than 5 % to a THD.
 TREND, MOVEMENT = 0.1, 0.2
 
-# Below this share of the current a change is never slow content: it does not count beside a
-# distortion of 1 %.
-_NO_CHANGE = 0.001
+#: Below this share of the current a change is never slow content: it does not count beside a
+#: distortion of 1 %.
+NO_CHANGE = 0.001
 
-# A mean over n samples of white noise moves by 1 / sqrt(n) of it. The noise of a controlled current
-# is not white: the largest movement, trend of a window and excursion of one mean seen in steady
-# states of all schemes are 3.4, 6.1 and 4.5 times that.
-_MOVEMENT_BY_CHANCE, _TREND_BY_CHANCE, _EXCURSION_BY_CHANCE = 3.5, 7.0, 5.0
+#: A mean over n samples of white noise moves by 1 / sqrt(n) of it. The noise of a controlled
+#: current is not white: the largest movement, trend of a window and excursion of one mean seen in
+#: steady states of all schemes are 3.4, 6.1 and 4.5 times that.
+MOVEMENT_BY_CHANCE, TREND_BY_CHANCE, EXCURSION_BY_CHANCE = 3.5, 7.0, 5.0
 
-# Means over so many parts of a window show how it moves.
-_PARTS = 10
+#: Means over so many parts of a window show how it moves.
+SLOW_PARTS = 10
 
-# What is small for a motor: so much of its largest current, speed or torque.
-_SMALL = 0.01
+#: What is small for a motor: so much of its largest current, speed or torque.
+SMALL = 0.01
 
-# The fewest samples of a part of a window at standstill.
-_FEWEST_SAMPLES = 20
+#: The fewest samples of a part of a window at standstill.
+FEWEST_SAMPLES = 20
 
 
 def can_be_judged(theta: Array) -> bool:
@@ -75,7 +75,7 @@ def can_be_judged(theta: Array) -> bool:
     """
     n, turned = len(theta), float(turns(theta)[-1])
     if turned < STANDSTILL:
-        return n >= PARTS_AT_STANDSTILL * _FEWEST_SAMPLES
+        return n >= PARTS_AT_STANDSTILL * FEWEST_SAMPLES
     return turned * (1.0 + 1.5 / (n - 1)) >= FEWEST_PERIODS
 
 
@@ -108,9 +108,9 @@ def is_steady(
     means = period_means(i_dq, theta)
     if not len(means):
         return False
-    size = max(abs(complex(np.mean(means))), _SMALL * i_max)
+    size = max(abs(complex(np.mean(means))), SMALL * i_max)
     turned = float(turns(theta)[-1])
-    each = max(1, int(turned) // _PARTS)
+    each = max(1, int(turned) // SLOW_PARTS)
     slow = period_means(i_dq, theta, each)
     slow = slow - np.mean(slow)
     line = np.linspace(-1.0, 1.0, len(slow))
@@ -118,13 +118,13 @@ def is_steady(
     whole = i_dq if waveform is None else waveform
     content, noise = (rms(np.abs(i - np.mean(i))) for i in (whole, i_dq))
     samples = len(i_dq) / (turned if turned >= STANDSTILL else PARTS_AT_STANDSTILL)
-    least = _NO_CHANGE * size
+    least = NO_CHANGE * size
     far, slope, moved = (
         factor * noise / math.sqrt(n)
         for factor, n in (
-            (_EXCURSION_BY_CHANCE, samples),
-            (_TREND_BY_CHANCE, len(i_dq)),
-            (_MOVEMENT_BY_CHANCE, samples * each),
+            (EXCURSION_BY_CHANCE, samples),
+            (TREND_BY_CHANCE, len(i_dq)),
+            (MOVEMENT_BY_CHANCE, samples * each),
         )
     )
     return bool(
@@ -313,14 +313,14 @@ def _transients(recording: Recording, w: Window, past: History, first: int, end:
     state = recording.state[window_rows(recording.state["period"], (w.begin, w.end), T_s)]
     if len(state) >= 8 and not why:
         load = state["load_torque"]
-        small = _SMALL * max(float(np.mean(np.abs(load))), tau_max)
+        small = SMALL * max(float(np.mean(np.abs(load))), tau_max)
         means = period_means(load, n_p * unwrap(state["angle"]))
         if np.max(np.abs(np.diff(load))) > small or (len(means) and np.ptp(means) > 2 * small):
             why.append(f"the load changes between {load.min():.3g} and {load.max():.3g} N m")
     speed = speeds(recording, w)
     means = period_means(speed, w.theta) / RPM
     if len(means) and not why:
-        small = TRANSIENT * max(float(np.mean(np.abs(means))), _SMALL * w_max / RPM, 1e-3)
+        small = TRANSIENT * max(float(np.mean(np.abs(means))), SMALL * w_max / RPM, 1e-3)
         if np.ptp(means) > small:
             low, high = sorted((float(means[0]), float(means[-1])))
             if high - low <= small:

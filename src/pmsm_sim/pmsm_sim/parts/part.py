@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,7 @@ class Part:
     full: Callable[[np.void], bool] = _never
     rates: Callable[[np.void], list[float]] = _no_rates
 
+    @cached_property
     def copied(self) -> list[tuple[str, str]]:
         """Parameters that are copied as they are, each with the field that it is copied to."""
         fields = {field[0] for field in self.par}
