@@ -310,11 +310,11 @@ class MfpccController(PwmNode):
         self._lut.set_string("scheme", self.core.scheme)
         if self.core.fallen:
             details = {code: detail for code, _, detail in self.core.faults()}
-            why = self.core.complaint or details.get("SCHEME") or details.get("PREDICTION")
-            self.get_logger().error(
-                f"scheme '{self.values['scheme']}' failed in period {self.period}: {why}; "
-                f"'{self.core.scheme}' took over"
+            why = self.core.complaint or (
+                f"scheme '{self.values['scheme']}' failed in period {self.period}: "
+                f"{details.get('SCHEME') or details.get('PREDICTION')}"
             )
+            self.get_logger().error(f"{why}; '{self.core.scheme}' took over")
         self.tell_status()
 
     def tell_status(self) -> None:

@@ -10,7 +10,9 @@ from __future__ import annotations
 import abc
 import cmath
 import math
-from typing import NamedTuple
+import numbers
+import operator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,13 @@ from mfpcc_controller.diagnostics import show_nothing_learned
 from mfpcc_controller.motor import EstimatedPars
 from mfpcc_controller.parameters import PLUG_INS
 from mfpcc_controller.vectors import ACTIVE_LENGTH
+from pwm_node import foreign
 from pwm_node.compiled import kernel
+
+# How long a plug-in may take before it is interrupted (s). It may have to be imported, and its own
+# kernels to be compiled. A step that only overruns its budget is for `fault.step_budget`.
+_AT_FIRST = 30.0
+_LATER = 5.0
 
 _SQRT3 = math.sqrt(3.0)
 
@@ -161,15 +169,14 @@ class Host:
     ) -> None:
         self.name = name
         self.complaint = ""
+        self._what = f"scheme '{name}'"
         self._mem = mem
         self._T_s = float(cfg["T_s"][0])
         self._scheme: Scheme | None = None
+        self._limit = _AT_FIRST
         try:
-            scheme = PLUG_INS[name].load()(motor, self._T_s)
-            if not isinstance(scheme, Scheme):
-                raise TypeError(f"{PLUG_INS[name].value} is no mfpcc_controller.plug_in.Scheme")
-            self._scheme = scheme
-        except Exception as error:  # noqa: BLE001 - foreign code may raise anything
+            self._scheme = self._call(_load, name, motor, self._T_s)
+        except foreign.ForeignError as error:
             self._complain("cannot be loaded", error)
 
     def step(self) -> None:
@@ -180,18 +187,16 @@ class Host:
             return
         sample = self._sample()
         try:
-            answer = self._scheme.step(sample)
-            if not isinstance(answer, Output):
-                answer = Output.from_voltage(sample, complex(answer))
-            out["a"], out["b"] = answer.a, answer.b
-            out["d_b"] = answer.d_b
-            out["d_a"] = answer.d_a
-            i_hat = complex(answer.i_hat)
-        except Exception as error:  # noqa: BLE001 - foreign code may raise anything
+            answer = self._call(_ask, self._scheme, sample)
+        except foreign.ForeignError as error:
             self._complain(f"failed in period {sample.period}", error)
-            out["d_a"] = math.nan
             return
-        self._mem["i_hat"] = i_hat
+        self._limit = _LATER
+        out["a"], out["b"], out["d_b"], out["d_a"] = answer.a, answer.b, answer.d_b, answer.d_a
+        self._mem["i_hat"] = answer.i_hat
+
+    def _call(self, function: Any, *arguments: Any) -> Any:
+        return foreign.call(function, *arguments, what=self._what, seconds=self._limit)
 
     def _sample(self) -> Sample:
         mem = self._mem[0]
@@ -208,9 +213,46 @@ class Host:
             fresh=not (mem["contiguous"] and mem["kept"]),
         )
 
-    def _complain(self, what: str, error: Exception) -> None:
+    def _complain(self, what: str, error: foreign.ForeignError) -> None:
         if not self.complaint:
-            self.complaint = f"scheme '{self.name}' {what}: {type(error).__name__}: {error}"
+            self.complaint = f"{self._what} {what}: {error}"
+
+
+def _load(name: str, motor: EstimatedPars, T_s: float) -> Scheme:
+    scheme = PLUG_INS[name].load()(motor, T_s)
+    if not isinstance(scheme, Scheme):
+        raise TypeError(f"{PLUG_INS[name].value} is no mfpcc_controller.plug_in.Scheme")
+    return scheme
+
+
+def _ask(scheme: Scheme, sample: Sample) -> Output:
+    """A plug-in's answer, with numbers of Python's own types in it."""
+    answer = scheme.step(sample)
+    if not isinstance(answer, Output):
+        u_dq = _number(answer, "the answer")
+        if not cmath.isfinite(u_dq):
+            raise ValueError(f"a voltage of {u_dq} V")
+        answer = Output.from_voltage(sample, u_dq)
+    d_a, d_b = _number(answer.d_a, "d_a"), _number(answer.d_b, "d_b")
+    if d_a.imag or d_b.imag:
+        raise ValueError(f"dwell times that are complex: {d_a}, {d_b}")
+    i_hat = _number(answer.i_hat, "i_hat")
+    return Output(_vector(answer.a), _vector(answer.b), d_a.real, d_b.real, i_hat)
+
+
+def _vector(value: Any) -> int:
+    vector = operator.index(value)
+    if not 0 <= vector <= 6:
+        raise ValueError(f"there is no vector {vector}")
+    return vector
+
+
+def _number(value: Any, what: str) -> complex:
+    if isinstance(value, np.ndarray) and not value.shape:
+        value = value[()]
+    if not isinstance(value, numbers.Number):
+        raise TypeError(f"{what} is no number but of type {type(value).__name__}")
+    return complex(value)  # type: ignore[call-overload, no-any-return]
 
 
 @kernel

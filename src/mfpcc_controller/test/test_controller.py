@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -153,7 +154,7 @@ class _Entry:
         self.scheme = scheme
 
     def load(self):
-        if isinstance(self.scheme, Exception):
+        if isinstance(self.scheme, BaseException):
             raise self.scheme
         return self.scheme
 
@@ -188,6 +189,84 @@ class TooLong(Scheme):
 class NoAnswer(Scheme):
     def step(self, sample: Sample) -> complex:
         return None  # type: ignore[return-value]
+
+
+class Leaves(Scheme):
+    def step(self, sample: Sample) -> complex:
+        sys.exit(3)
+
+
+class Interrupts(Scheme):
+    def step(self, sample: Sample) -> complex:
+        raise KeyboardInterrupt
+
+
+class Closes(Scheme):
+    def step(self, sample: Sample) -> complex:
+        raise GeneratorExit
+
+
+class LeavesAtOnce(Holds):
+    def __init__(self, motor, T_s) -> None:
+        sys.exit(3)
+
+
+class Endless(Scheme):
+    def step(self, sample: Sample) -> complex:
+        while True:
+            pass
+
+
+class NeverMade(Holds):
+    def __init__(self, motor, T_s) -> None:
+        while True:
+            pass
+
+
+class Deep(Scheme):
+    def step(self, sample: Sample) -> complex:
+        return self.step(sample)
+
+
+class Two(Scheme):
+    def step(self, sample: Sample):
+        return np.array([1.0, 2.0])
+
+
+class Text(Scheme):
+    def step(self, sample: Sample):
+        return "1.0"
+
+
+class Half(Scheme):
+    def step(self, sample: Sample) -> Output:
+        return Output(1.5, 2, 0.1, 0.1)  # type: ignore[arg-type]
+
+
+class Seven(Scheme):
+    def step(self, sample: Sample) -> Output:
+        return Output(7, 2, 0.1, 0.1)
+
+
+class Complex(Scheme):
+    def step(self, sample: Sample) -> Output:
+        return Output(1, 2, 0.1 + 1.0j, 0.1)  # type: ignore[arg-type]
+
+
+class Huge(Scheme):
+    def step(self, sample: Sample) -> complex:
+        return 10**400
+
+
+class Hungry(Scheme):
+    def step(self, sample: Sample) -> complex:
+        return np.zeros(1 << 60)[0]
+
+
+class Breaks(Scheme):
+    def step(self, sample: Sample) -> complex:
+        self.motor.R_s = math.nan  # type: ignore[misc]
+        return 0j
 
 
 @pytest.fixture
@@ -235,9 +314,26 @@ def test_a_voltage_is_made_as_the_built_in_schemes_make_it(plugged):
         (NoAnswer, "failed in period 20: TypeError"),
         (ImportError("no module named 'torch'"), "cannot be loaded: ImportError: no module"),
         (dict, "cannot be loaded"),
+        (SystemExit(3), "cannot be loaded: SystemExit: 3"),
+        (LeavesAtOnce, "cannot be loaded: SystemExit: 3"),
+        (Leaves, "failed in period 20: SystemExit: 3"),
+        (Interrupts, "failed in period 20: KeyboardInterrupt"),
+        (Closes, "failed in period 20: GeneratorExit"),
+        (Deep, "failed in period 20: RecursionError"),
+        (Two, "failed in period 20: TypeError: the answer is no number but of type ndarray"),
+        (Text, "failed in period 20: TypeError: the answer is no number but of type str"),
+        (Half, "failed in period 20: TypeError"),
+        (Seven, "failed in period 20: ValueError: there is no vector 7"),
+        (Complex, "failed in period 20: ValueError: dwell times that are complex"),
+        (Huge, "failed in period 20: OverflowError"),
+        (Hungry, "failed in period 20: "),
+        (Breaks, "failed in period 20: ValidationError"),
+        (Endless, "failed in period 20: did not return"),
+        (NeverMade, "cannot be loaded: did not return"),
     ],
 )
-def test_a_plug_in_that_fails_is_replaced_in_the_same_period(plugged, scheme, said):
+def test_a_plug_in_that_fails_is_replaced_in_the_same_period(plugged, scheme, said, monkeypatch):
+    monkeypatch.setattr(plug_in, "_AT_FIRST", 0.3)
     bench = plugged(scheme).show(1)
     assert bench.controller.fallen and bench.controller.scheme == "pi_foc"
     assert said in bench.controller.complaint

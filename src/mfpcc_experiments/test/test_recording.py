@@ -100,6 +100,20 @@ def test_gaps_are_counted_and_named(make_bag, drive_messages):
     assert not any(n.text.startswith("duty_command") for n in found.notes)
 
 
+def test_every_second_period_missing_is_no_decimation(make_bag, drive_messages):
+    def sample(message):
+        return int.from_bytes(message[2][12:20], "little") - (message[0] == "duty_command")
+
+    source = (m for m in drive_messages(4000) if sample(m) % 2 == 0)
+    found = recording.read(make_bag(source=source))
+    assert found.lost_periods >= 1999
+    row = metrics.evaluate(found)
+    assert row["thd_percent"]["control"] is None and row["i_d_mean"] is None
+    for topic in ("phase_feedback", "duty_command"):
+        text = f"1000 of the 2000 periods of the window are missing in {topic}"
+        assert any(text in note["text"] for note in row["notes"])
+
+
 def test_a_missing_end_is_a_gap(make_bag, drive_messages):
     source = (m for m in drive_messages(1000) if m[0] != "lut_diagnostics" or m[1] < 90_000_000)
     found = recording.read(make_bag(source=source))

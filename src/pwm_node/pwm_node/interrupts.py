@@ -137,6 +137,11 @@ def _end_with(parent: int) -> None:
         _end()  # it was faster
 
 
+def came() -> bool:
+    """Whether a signal has come that ends the process."""
+    return bool(_state.came)
+
+
 def exit_code() -> int | None:
     """Exit code of a process that was interrupted, None if it was not."""
     if not _state.came:

@@ -32,12 +32,13 @@ from mfpcc_experiments.bags.errors import BagError
 from mfpcc_experiments.bags.layouts import TAKEN_AS_ON, Layout
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD
 from mfpcc_experiments.bags.status import Status, StatusError
-from mfpcc_experiments.bags.topics import LOOP_TOPICS
+from mfpcc_experiments.bags.topics import EVERY_PERIOD, LOOP_TOPICS
 from mfpcc_experiments.notes import Note, info, warning
 from pwm_node import stamps
 
 Progress = Callable[[float], None]
 _NEEDED = ("phase_feedback", "duty_command")
+_LONGEST_STEP = 1 << 32  # periods
 _PERIOD_TOLERANCE = 0.01  # of the PWM period: what clocks may differ
 
 
@@ -95,6 +96,11 @@ class Recording:
     def oversampling(self) -> int:
         """Points per period of the oversampled waveforms, 0 without them."""
         return 0 if self.i_abc_oversampled is None else self.i_abc_oversampled.shape[1]
+
+    @property
+    def decimation(self) -> dict[str, int]:
+        """Periods from one message to the next of each topic of which that is known."""
+        return dict.fromkeys(EVERY_PERIOD, 1) | _decimation(self.config, self.summary)
 
     @property
     def window_s(self) -> tuple[float, float] | None:
@@ -250,7 +256,7 @@ class _Collector:
         self._notes += [
             warning(f"topic {name} has no messages, though its run was configured to record it")
             for name, step in decimation.items()
-            if 0 < step <= self._columns["phase_feedback"].count and not self._columns[name].count
+            if step <= self._columns["phase_feedback"].count and not self._columns[name].count
         ]
         chosen = select(
             self._columns, self.path, decimation=decimation, joined_late=not self.config
@@ -335,7 +341,7 @@ def _decimation(config: Mapping[str, Any], summary: Mapping[str, Any]) -> dict[s
             step = values[name]
             changes = json.dumps([values.get("schedule"), summary.get("parameter_changes")])
             # Of one that was changed on the way the messages tell.
-            if isinstance(step, int) and name not in changes:
+            if isinstance(step, int) and 0 < step <= _LONGEST_STEP and name not in changes:
                 found[topic] = step
     return found
 

@@ -269,7 +269,11 @@ def missing(recording: Recording, first: int, end: int) -> list[tuple[Need, Note
     )
     found = []
     for topic, rows, begin, need in expected:
-        count = _missing(rows["period"], begin, end) if len(rows) else 0
+        count = (
+            _missing(rows["period"], begin, end, recording.decimation.get(topic))
+            if len(rows)
+            else 0
+        )
         if count:
             text = (
                 f"{count} of the {end - begin} periods of the window "
@@ -279,10 +283,14 @@ def missing(recording: Recording, first: int, end: int) -> list[tuple[Need, Note
     return found
 
 
-def _missing(period: NDArray[np.uint64], first: int, end: int) -> int:
-    """Periods from `first` to before `end` that a topic, decimated or not, has no rows for."""
-    step = np.diff(period.astype(np.int64))
-    usual = int(np.median(step)) if len(step) else 1
+def _missing(period: NDArray[np.uint64], first: int, end: int, usual: int | None) -> int:
+    """Periods from `first` to before `end` that a topic has no rows for.
+
+    Periods from one row to the `usual` next are known, or told from the rows.
+    """
+    if usual is None:
+        step = np.diff(period.astype(np.int64))
+        usual = int(np.median(step)) if len(step) else 1
     begin, stop = np.searchsorted(period, np.array([first, end], dtype=np.uint64))
     inside = period[begin:stop].astype(np.int64)
     if not len(inside):

@@ -274,7 +274,8 @@ class PwmNode(TableNode):
         try:
             hook()
         except Exception as error:  # noqa: BLE001 (whatever it is, it must be said)
-            self.get_logger().error(f"cannot {name}: {guard.describe(error)}")
+            if not self.stopping:
+                self.get_logger().error(f"cannot {name}: {guard.describe(error)}")
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 

@@ -153,10 +153,13 @@ def _start(nodes: Sequence[Node], stop: _Stop) -> bool:
     starting = [n for n in nodes if isinstance(n, PwmNode) and n.values[AUTOSTART.name]]
     stop.starting = True
     try:
-        return stop.requested or (
-            all(node.trigger_configure() == success for node in starting)
-            and all(node.trigger_activate() == success for node in reversed(starting))
+        if stop.requested:
+            return True
+        started = all(node.trigger_configure() == success for node in starting) and all(
+            node.trigger_activate() == success for node in reversed(starting)
         )
+        # what is compiling may have taken the interrupt for an error of its own
+        return started or stop.requested
     finally:
         stop.starting = False
 
