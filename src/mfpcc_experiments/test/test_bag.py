@@ -8,9 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import synthetic_drive
 import yaml
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
@@ -18,6 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter, recording, recover
 from mfpcc_experiments.bags.definitions import message_definition
+from mfpcc_experiments.bags.disk import mcap_file
 from mfpcc_experiments.bags.disk.sink import McapSink
 
 TOPICS = {"/" + name: type_name for name, type_name in LOOP_TOPICS.items()}
@@ -54,7 +57,7 @@ def test_mcap_finds_no_fault(make_bag):
         summary = reader.get_summary()
         assert summary.statistics.message_count == 4800
         assert summary.statistics.channel_message_counts == dict.fromkeys(range(1, 5), 1200)
-        # 120 ms in chunks of 50 ms, and the last command is for the period after.
+        # 120 ms in chunks of 40 ms, and the last command is for the period after.
         assert summary.statistics.chunk_count == len(summary.chunk_indexes) == 3
         for channel in summary.channels.values():
             assert set(channel.metadata) == {"offered_qos_profiles", "topic_type_hash"}
@@ -205,6 +208,42 @@ def test_a_full_disk_ends_with_a_clear_message_and_a_valid_bag(tmp_path):
         assert sum(1 for _ in reader.messages()) == reader.message_count
 
 
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("LZ4 gave up"), SystemExit(3)])
+def test_whatever_fails_in_the_writing_thread_ends_the_recording(
+    error, tmp_path, drive_messages, monkeypatch
+):
+    real = McapSink.chunk
+
+    def chunk(sink, *item):
+        if len(sink.chunks) == 2:
+            raise error
+        real(sink, *item)
+
+    monkeypatch.setattr(McapSink, "chunk", chunk)
+    writer = BagWriter(tmp_path / "b", config={})
+
+    def record():
+        for message in drive_messages(4000):
+            writer.write(*message)
+
+    with pytest.raises(BagError, match=rf"{type(error).__name__}: .*; the recording ends at 0\.08"):
+        record()
+    writer.close()
+    assert len(recording.read(tmp_path / "b").feedback) == 800
+
+
+def test_a_chunk_holds_whole_periods(make_bag):
+    """So a file that is cut off between two chunks ends at the same period in all topics."""
+    (file,) = make_bag(periods=2000).glob("*.mcap")
+    channels = mcap_file.Channels(file)
+    chunks = [
+        mcap_file.block(record, channels).messages.channel_id
+        for record in mcap_file.blocks(file)
+        if record.opcode == Opcode.CHUNK
+    ]
+    assert [np.bincount(ids).tolist() for ids in chunks] == [[0, 400, 400, 400, 400]] * 5
+
+
 def test_room_for_the_end_is_made_on_a_full_disk(tmp_path, drive_messages, monkeypatch):
     real = McapSink.finish
     calls = []
@@ -221,5 +260,5 @@ def test_room_for_the_end_is_made_on_a_full_disk(tmp_path, drive_messages, monke
         writer.write(*message)
     with pytest.raises(BagError, match="no space left for the end"):
         writer.close()
-    assert calls == [7, 6, 5]
-    assert len(recording.read(tmp_path / "b").feedback) == 2500
+    assert calls == [8, 7, 6]
+    assert len(recording.read(tmp_path / "b").feedback) == 2400

@@ -8,7 +8,7 @@ the last messages of each topic, in the order in which they were written.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 
 from mfpcc_experiments.bags.disk.mcap_file import Topic
@@ -21,12 +21,14 @@ LONGEST = 6_000
 _PERIOD = slice(12, 20)  # of a message in CDR: behind its header and its stamp
 _LITTLE_ENDIAN = b"\x00\x01"
 
+_Tail = deque[tuple[int, int]]  # log time (ns) and period
+
 
 class Tails:
     """The last periods of the topics of the loop, of all axes."""
 
     def __init__(self) -> None:
-        self._periods: dict[str, deque[tuple[int, int]]] = {}
+        self._periods: dict[str, _Tail] = {}
 
     def see(self, topic: Topic, log_time: int, message: bytes | memoryview) -> None:
         """
@@ -53,23 +55,26 @@ class Tails:
     def too_many(self) -> dict[str, int]:
         """How many messages at the end of each topic belong to no whole period; those with any."""
         found: dict[str, int] = {}
-        axes = {topic.rpartition("/")[0] for topic in self._periods}
-        for axis in axes:
-            tails = {t: p for t, p in self._periods.items() if t.rpartition("/")[0] == axis}
-            found |= _of_one_axis(tails)
+        for tails, end in self._axes():
+            for topic, tail in tails.items():
+                if count := sum(1 for _, period in tail if period > end):
+                    found[topic] = count
         return found
 
+    def ends(self) -> list[int]:
+        """The last period that all topics of an axis have, of each axis where it can be told."""
+        return [end for _, end in self._axes()]
 
-def _of_one_axis(tails: Mapping[str, deque[tuple[int, int]]]) -> dict[str, int]:
-    if not all(map(_rises, tails.values())):
-        return {}  # restarted, or out of order: what its end is cannot be told
-    ends = [tail[-1][1] + step - 1 for topic, tail in tails.items() if (step := _step(topic, tail))]
-    if not ends or max(tail[-1][1] for tail in tails.values()) - min(ends) >= LONGEST:
-        return {}
-    counts = {
-        topic: sum(1 for _, period in tail if period > min(ends)) for topic, tail in tails.items()
-    }
-    return {topic: count for topic, count in counts.items() if count}
+    def _axes(self) -> Iterator[tuple[Mapping[str, _Tail], int]]:
+        """Topics of each axis, and the last period that all of them have."""
+        for axis in sorted({topic.rpartition("/")[0] for topic in self._periods}):
+            tails = {t: p for t, p in self._periods.items() if t.rpartition("/")[0] == axis}
+            if not all(map(_rises, tails.values())):
+                continue  # restarted, or out of order: what its end is cannot be told
+            steps = {topic: _step(topic, tail) for topic, tail in tails.items()}
+            ends = [tails[topic][-1][1] + step - 1 for topic, step in steps.items() if step]
+            if ends and max(tail[-1][1] for tail in tails.values()) - min(ends) < LONGEST:
+                yield tails, min(ends)
 
 
 def _rises(tail: Iterable[tuple[int, int]]) -> bool:
@@ -77,7 +82,7 @@ def _rises(tail: Iterable[tuple[int, int]]) -> bool:
     return all(b[0] >= a[0] and b[1] > a[1] for a, b in pairwise(order))
 
 
-def _step(topic: str, tail: deque[tuple[int, int]]) -> int:
+def _step(topic: str, tail: _Tail) -> int:
     """Periods from one message to the next; 0 where it cannot be told."""
     if topic.rpartition("/")[2] in EVERY_PERIOD:
         return 1

@@ -96,7 +96,7 @@ def recover(path: Path) -> str:
         raise BagError(f"{error.filename or path}: {error.strerror}") from None
     if not broken:
         return f"{path}: the recording is whole; its {METADATA} was missing and was written"
-    text = _report(path, broken)
+    text = _report(path, broken, tails.ends() if copies[-1] in broken else [])
     return text if missing is None else f"{text}; what cannot be repaired: {missing}"
 
 
@@ -378,12 +378,14 @@ def _messages(
         yield topics[cid], data[begin:end]
 
 
-def _report(path: Path, copies: list[_Copy]) -> str:
-    """What was saved, in a sentence."""
+def _report(path: Path, copies: list[_Copy], ends: list[int]) -> str:
+    """What was saved, in a sentence; `ends` are the last periods of the drives in it."""
     count = sum(sum(copy.sink.counts.values()) for copy in copies)
     times = [copy.sink.times for copy in copies if copy.sink.chunks]
     first, last = min(begin for begin, _ in times), max(end for _, end in times)
     text = f"{path}: saved {count} messages from {first * 1e-9:.4f} to {last * 1e-9:.4f} s"
+    if len(ends) == 1:
+        text += f"; all topics of the loop end at period {ends[0]}"
     damaged = sum(copy.damaged for copy in copies)
     if damaged:
         text += f"; {damaged} damaged part{'s' * (damaged > 1)} dropped"

@@ -38,6 +38,7 @@ from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.bags import LOOP_TOPICS, BagError, BagWriter
 from mfpcc_experiments.graph import loop_messages
 from mfpcc_experiments.graph.black_box import BlackBox
+from mfpcc_experiments.graph.in_step import InStep
 from mfpcc_experiments.graph.remote_node import RemoteNode
 from mfpcc_experiments.measuring import latched
 from pmsm_sim.parameters import TABLE as PLANT
@@ -123,7 +124,8 @@ class Recorder(Node):
         self._black_box = black_box
         self._first: tuple[int, int] | None = None
         self._inputs: list[tuple[Subscription, Callable[[bytes, int], None]]] = []
-        self._awaited = {topic: self._taking(topic, writer) for topic in topics}
+        self._in_step = None if writer is None else InStep(writer.write, self._steps)
+        self._awaited = {topic: self._taking(topic) for topic in topics}
         self._subscribe()
         # Taken in bulk as well: the executor does not tell when a message was sent.
         self._events = self.create_subscription(
@@ -180,6 +182,8 @@ class Recorder(Node):
                             f"{subscription.topic_name}: message dropped: {error}",
                             throttle_duration_sec=1.0,
                         )
+            if self._in_step is not None:
+                self._in_step.release(everything=last)
         except BagError as error:
             self.error = error
             self.finished.set_result(None)
@@ -191,9 +195,9 @@ class Recorder(Node):
                 sent = [(sent_at, period + offset) for sent_at, period in self._sent[topic]]
                 node.date(sent, last=last)
 
-    def _taking(self, topic: str, writer: BagWriter | None) -> Callable[[bytes, int], None]:
+    def _taking(self, topic: str) -> Callable[[bytes, int], None]:
         """What takes the messages of a topic: each with the time at which it was sent (ns)."""
-        last, steps = self.last_period, self._steps
+        last, steps, in_step = self.last_period, self._steps, self._in_step
         sent = self._sent.get(topic, deque(maxlen=0))
         unpack = loop_messages.stamp_and_period
 
@@ -206,8 +210,8 @@ class Recorder(Node):
             last[topic] = period
             sent.append((sent_at, period))
             stamp = stamps.at(sec, nanosec)
-            if writer is not None:
-                writer.write(topic, stamp, data)
+            if in_step is not None:
+                in_step.add(topic, period, stamp, data)
             if self._box is not None:
                 self._box.rings[topic].append(data)
             elif self._black_box is not None and topic == "phase_feedback":

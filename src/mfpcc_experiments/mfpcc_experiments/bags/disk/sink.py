@@ -96,7 +96,7 @@ class McapSink:
         try:
             while view:
                 view = view[self._file.write(view) :]
-        except OSError:
+        except BaseException:
             self._file.truncate(self._offset)
             self._file.seek(self._offset)
             raise

@@ -1,0 +1,124 @@
+"""What a recorder that is killed leaves behind: the process itself, and `mfpcc recover`."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from harness import Process, until
+from outside import Outside
+from synthetic_drive import messages
+
+from mfpcc_experiments.bags import LOOP_TOPICS, recording, recover
+from mfpcc_experiments.graph.in_step import InStep
+
+Start = Callable[..., Process]
+
+#: Of the promise (periods of 0.1 ms): a cut lies so little before the last message.
+PROMISED = 2000
+
+
+@pytest.fixture
+def outside(domain: int) -> Iterator[Outside]:
+    it = Outside()
+    yield it
+    it.close()
+
+
+def reached(bag: Path) -> int:
+    """Period at which the last whole chunk of a file ends that is being written; 0 without one."""
+    data = next(bag.glob("*.mcap"), Path("/dev/null")).read_bytes()
+    at, end = 8, 0
+    while at + 9 <= len(data):
+        following = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+        if following > len(data):
+            break
+        if data[at] == 6:  # a chunk: first and last log time
+            end = int.from_bytes(data[at + 17 : at + 25], "little") // 100_000
+        at = following
+    return end
+
+
+def ends(bag: Path) -> set[int]:
+    """The sample to which the last message of each topic belongs, by the messages themselves."""
+    found = recording.read(bag)
+    assert found.lost_periods == 0, found.notes
+    topics = (found.feedback, found.command, found.lut, found.state)
+    lasts = [int(rows["period"][-1]) for rows in topics]
+    return {lasts[0], lasts[1] - 1, *lasts[2:]}
+
+
+@pytest.mark.parametrize("at", [1500, 4000])
+def test_all_topics_end_at_the_same_period(
+    at: int, start: Start, outside: Outside, tmp_path: Path
+) -> None:
+    bag = tmp_path / "bag"
+    recorder = start("mfpcc_experiments", "record", "--out", str(bag))
+    waits = ("--ros-args", "-p", "recorders:=1")
+    controller = start("mfpcc_controller", "controller", *waits)
+    plant = start("pmsm_sim", "pmsm_sim", *waits)
+    until(lambda: reached(bag) > at or recorder.ended, "so much is on disk")
+    recorder.kill()
+    for process in (plant, controller):
+        process.kill()  # they would wait for it
+    said = recover.recover(bag)
+    (end,) = ends(bag)
+    assert f"all topics of the loop end at period {end}" in said
+    assert end > at - 2 and "left out" not in said
+
+
+def test_what_was_recorded_is_on_disk_but_for_a_little(start: Start, tmp_path: Path) -> None:
+    """A drive ends by itself, so what the recorder has got is known."""
+    bag, periods = tmp_path / "bag", 3500
+    recorder = start("mfpcc_experiments", "record", "--out", str(bag))
+    parameters = ("-p", "recorders:=1", "-p", f"periods:={periods}")
+    drive = start("mfpcc_experiments", "drive", "--ros-args", *parameters)
+    assert drive.wait() == 0, drive.output
+    until(lambda: reached(bag) >= periods - PROMISED, "what the recorder has got is on disk")
+    recorder.kill()
+    recover.recover(bag)
+    (end,) = ends(bag)
+    assert periods - PROMISED <= end <= periods
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_topics_that_come_one_after_the_other_are_written_period_by_period(seed: int) -> None:
+    source, rng = list(messages(300)), random.Random(seed)
+    written: list[tuple[str, int, bytes]] = []
+    in_step = InStep(lambda *message: written.append(message), {})
+    queues = [[m for m in source if m[0] == topic] for topic in LOOP_TOPICS]
+    while any(queues):
+        for queue in queues:
+            count = rng.randrange(80)
+            for name, at, data in queue[:count]:
+                in_step.add(name, int.from_bytes(data[12:20], "little"), at, data)
+            del queue[:count]
+        in_step.release()
+        last = {m[0]: int.from_bytes(m[2][12:20], "little") for m in written}
+        if len(last) == 4:
+            last["duty_command"] -= 1
+            assert len(set(last.values())) == 1
+    assert sorted(written) == sorted(source)
+
+
+def test_a_topic_that_falls_silent_is_not_waited_for() -> None:
+    written: list[str] = []
+    in_step = InStep(lambda topic, *_: written.append(topic), {})
+    for name, at, data in messages(3000):
+        if name != "lut_diagnostics" or at < 100 * 100_000:
+            in_step.add(name, int.from_bytes(data[12:20], "little"), at, data)
+            in_step.release()
+    assert written.count("phase_feedback") == 3000
+
+
+def test_a_drive_that_begins_anew_while_its_messages_wait() -> None:
+    written: list[int] = []
+    in_step = InStep(lambda topic, at, data: written.append(at), {})
+    for _ in range(2):
+        for name, at, data in messages(50):
+            if name == "phase_feedback":
+                in_step.add(name, int.from_bytes(data[12:20], "little"), at, data)
+    in_step.release(everything=True)
+    assert written == [k * 100_000 for k in range(50)] * 2
