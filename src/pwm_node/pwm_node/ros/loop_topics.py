@@ -14,6 +14,7 @@ subscriber, best effort or "keep all" avoids it.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -29,6 +30,10 @@ PUBLISH = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPoli
 # Half a second at 10 kHz: what somebody who is slow may lag behind who is not waited for.
 _PUBLISH_UNWAITING = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 SUBSCRIBE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+# The executor is served at this interval (s) while the loop runs. Messages that follow each other
+# faster are looked for.
+SERVE_EVERY = 0.004
 
 # An executor may have a message to deliver from before, and does not hold what it refers to.
 _REMOVED: deque[Any] = deque(maxlen=16)
@@ -217,6 +222,14 @@ class LoopSubscription:
         Gets each serialized message.
     start : str
         What a user types to start who publishes it.
+
+    Attributes
+    ----------
+    direct : bool
+        Whether messages are taken off the executor, by who spins.
+    lively : bool
+        Whether they follow each other so fast that it is better to look for the next one than to
+        sleep. Set here when that begins, and taken back by who looks in vain.
     """
 
     def __init__(
@@ -233,12 +246,26 @@ class LoopSubscription:
         self.start = start
         self.name = topic
         self.subscription = node.create_subscription(
-            msg_class, topic, callback, SUBSCRIBE, raw=True
+            msg_class, topic, self._serve, SUBSCRIBE, raw=True
         )
         self.topic: str = self.subscription.topic_name
         # Taken without an executor: ``take(msg_class, True)`` returns (bytes, info) or None.
         self.take: Callable[[Any, bool], Any] = self.subscription.handle.take_message
         self.direct = False
+        self.lively = False
+        self._served_at = -math.inf
+
+    def _serve(self, data: bytes) -> None:
+        """Handle a message that the executor has taken."""
+        now = time.monotonic()
+        self.lively |= 0.0 <= now - self._served_at < SERVE_EVERY
+        self._served_at = max(now, self._served_at)
+        self.callback(data)
+
+    def sleep(self, until: float) -> None:
+        """Leave the next messages to the executor, and those that come before a time (s)."""
+        self.lively = False
+        self._served_at = until
 
     def destroy(self) -> None:
         """Remove the subscription from its node; what has come and was not handled is dropped."""

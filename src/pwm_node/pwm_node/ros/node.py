@@ -10,7 +10,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
@@ -24,6 +24,9 @@ from pwm_node.ros import guard, only_one
 from pwm_node.ros.diagnostics import Level, Part, StepTimes
 from pwm_node.ros.loop_topics import LoopPublisher, LoopSubscription
 from pwm_node.ros.table_node import CHANGES_KEPT, TableNode
+
+if TYPE_CHECKING:
+    from pwm_node.ros.pace import Pace
 
 AUTOSTART = Parameter(
     "autostart",
@@ -102,6 +105,7 @@ class PwmNode(TableNode):
         self.step_times = StepTimes()
         self.loop_publishers: list[LoopPublisher] = []
         self.loop_subscriptions: list[LoopSubscription] = []
+        self.paces: list[Pace] = []
         try:
             self._claim = only_one.claim(
                 self.get_fully_qualified_name(), self.context.get_domain_id()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from pwm_node.ros.node import PwmNode
 
 _LOOK_EVERY = 0.01  # s
+# A timer wakes the process, some 0.1 ms late. Ticks closer than this (s) are looked for instead.
+_BY_TIMER_FROM = 0.002
 
 
 class SteadyTimer:
@@ -56,7 +59,8 @@ class Pace(SteadyTimer):
     """Ticks of the wall clock, each for a period.
 
     Whole ticks that went by while the process did not run are left out, with no catching up: the
-    next one keeps phase.
+    next one keeps phase. Where ticks follow each other fast, who spins the node looks for the time
+    at which one is `due`, and calls `on_tick`; otherwise a timer does.
 
     Parameters
     ----------
@@ -71,6 +75,8 @@ class Pace(SteadyTimer):
         Periods left out since the start of the node.
     ticked_at : float
         Time of the latest tick, or of the start (s, steady clock).
+    due : float
+        When `on_tick` is to be called (s, steady clock); infinite if a timer does that, or nobody.
     """
 
     def __init__(self, node: PwmNode, tick: Callable[[], None]) -> None:
@@ -78,14 +84,30 @@ class Pace(SteadyTimer):
         self._tick = tick
         self.left_out = 0
         self.ticked_at = 0.0
+        self.due = math.inf
         self._seconds = self._next = 0.0
+        node.paces.append(self)
+
+    @property
+    def running(self) -> bool:
+        """Whether it is started."""
+        return super().running or self.due < math.inf
 
     def start(self, seconds: float) -> None:
         """Tick every so many seconds from now on."""
-        super().start(seconds)
+        self.stop()
         self.ticked_at = time.monotonic()
         self._seconds = seconds
         self._next = self.ticked_at + seconds
+        if seconds < _BY_TIMER_FROM:
+            self.due = self._next
+        else:
+            super().start(seconds)
+
+    def stop(self) -> None:
+        """Tick no more."""
+        super().stop()
+        self.due = math.inf
 
     def on_tick(self) -> None:
         """Begin a period; the timer calls this."""
@@ -96,6 +118,8 @@ class Pace(SteadyTimer):
             lost = int(late / self._seconds)
             self.left_out += lost
             self._next += lost * self._seconds
+        if self.due < math.inf:
+            self.due = self._next
         self._tick()
 
 

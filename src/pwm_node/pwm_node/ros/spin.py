@@ -1,9 +1,8 @@
 """Running nodes at PWM rate, in one process, from start to a clean stop.
 
 rclpy's `EventsExecutor` serves them: it takes 1 to 2 us per event, where the others take 80 to 200.
-Messages of the loop between two nodes of this process do without it. Publishing within a process
-has delivered by the time it returns, so the loop takes the message at once, and serves the
-executor (parameters, services, timers) every few milliseconds; that saves 12 to 15 % of a period.
+Messages of the loop do without it while it runs (see `pwm_node.ros.look`). The executor, with its
+parameters, services and timers, is then served every few milliseconds.
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ from rclpy.utilities import get_default_context
 from pwm_node import interrupts
 from pwm_node.ros import ros_environment
 from pwm_node.ros.guard import describe
+from pwm_node.ros.look import Look
 from pwm_node.ros.loop_topics import LoopSubscription
 from pwm_node.ros.node import AUTOSTART, PwmNode
+from pwm_node.ros.pace import Pace
 
 _SERVED_AT_ONCE = 100  # callbacks: far more than are ever due
-_SERVE_EVERY = 0.004  # s
-_IDLE = 0.2  # s
 
 
 class _Stop:
@@ -166,23 +165,17 @@ def _start(nodes: Sequence[Node], stop: _Stop) -> bool:
 
 def _spin(executor: Any, until: Future, stop: _Stop) -> None:
     """Serve the executor's nodes, which may come and go, until the end."""
-
-    def over() -> bool:
-        return stop.requested or until.done()
-
-    while not over():
-        subscriptions = _direct_subscriptions(executor)
-        if not subscriptions:
-            _serve_for_a_while(executor, over)
-        elif _take_directly(subscriptions):
-            _serve_what_is_due(executor)
+    look = Look()
+    while not (stop.requested or until.done()):
+        rest = look.on(_direct_subscriptions(executor), _paces(executor))
+        if rest > 0.0:
+            _serve_one(executor, rest)
         else:
-            # Only callbacks of this thread publish for these, so nothing comes before the next.
-            _serve_one(executor, _IDLE)
+            _serve_what_is_due(executor)
 
 
-def _serve_for_a_while(executor: Any, over: Callable[[], bool]) -> None:
-    """Serve one callback after the other.
+def _serve_one(executor: Any, seconds: float) -> None:
+    """Serve what is due, up to one callback; wait for it so long.
 
     `spin_until_future_complete` looks at its timeout only when nothing is queued. With a loop in
     this process, or messages that come faster than they are handled, it never returns. `spin()`
@@ -190,14 +183,6 @@ def _serve_for_a_while(executor: Any, over: Callable[[], bool]) -> None:
     wheels, this overflows: the wait then fails at once, for ever, with the queue locked, and
     nothing is served at 100 % load.
     """
-    clock = time.monotonic
-    deadline = clock() + _IDLE
-    while clock() < deadline and not over():
-        _serve_one(executor, _IDLE)
-
-
-def _serve_one(executor: Any, seconds: float) -> None:
-    """Serve what is due, up to one callback; wait for it so long."""
     try:
         executor.spin_once(timeout_sec=seconds)
     except (InvalidHandle, rclpy_implementation.RCLError) as error:
@@ -207,14 +192,25 @@ def _serve_one(executor: Any, seconds: float) -> None:
             raise
 
 
+def _nodes(executor: Any) -> list[PwmNode]:
+    return [node for node in executor.get_nodes() if isinstance(node, PwmNode)]
+
+
+def _paces(executor: Any) -> list[Pace]:
+    return [pace for node in _nodes(executor) for pace in node.paces]
+
+
 def _direct_subscriptions(executor: Any) -> list[LoopSubscription]:
-    """Return the loop's subscriptions whose publisher is here too, off the executor."""
-    nodes = [node for node in executor.get_nodes() if isinstance(node, PwmNode)]
+    """Return the loop's subscriptions that are taken from off the executor.
+
+    These are those whose publisher is here too, and those on which messages follow each other fast.
+    """
+    nodes = _nodes(executor)
     published = {publisher.topic for node in nodes for publisher in node.loop_publishers}
     subscriptions = [each for node in nodes for each in node.loop_subscriptions]
     changed = False
     for subscription in subscriptions:
-        direct = subscription.topic in published
+        direct = subscription.lively or subscription.topic in published
         changed |= subscription.direct != direct
         subscription.direct = direct
     if changed:
@@ -222,23 +218,6 @@ def _direct_subscriptions(executor: Any) -> list[LoopSubscription]:
         _serve_what_is_due(executor)
         return _direct_subscriptions(executor)  # a callback may have removed some
     return [subscription for subscription in subscriptions if subscription.direct]
-
-
-def _take_directly(subscriptions: Sequence[LoopSubscription]) -> bool:
-    """Take and handle messages for a few milliseconds; return whether there were any to the end."""
-    takes = [(each.take, each.msg_class, each.callback) for each in subscriptions]
-    clock = time.monotonic
-    deadline = clock() + _SERVE_EVERY
-    while clock() < deadline:
-        idle = True
-        for take, msg_class, callback in takes:
-            message = take(msg_class, True)
-            if message is not None:
-                callback(message[0])
-                idle = False
-        if idle:
-            return False
-    return True
 
 
 def _serve_what_is_due(executor: Any) -> None:

@@ -1,0 +1,96 @@
+"""Looking for the next message of the loop, and for the time at which a period begins.
+
+Between two nodes of one process, publishing has delivered by the time it returns, so the loop takes
+the message at once. From another process, to sleep and be woken takes most of the time that a
+message needs, so the loop looks for the next one instead, and gives its core away in between:
+without that, the middleware's own threads would have to wait for it.
+
+Who gives a core away that others want gets it back late, later than one who slept. So where this
+happens, the loop sleeps for a while, as it does when nothing has come for some milliseconds.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Sequence
+
+from pwm_node.ros.loop_topics import SERVE_EVERY, LoopSubscription
+from pwm_node.ros.pace import Pace
+
+_IDLE = 0.2  # s
+# The middleware's threads give a core back within some 20 us. Beyond this (s) others have it; the
+# scheduler's tick takes up to a millisecond now and then, and is no sign of others.
+_AWAY = 0.0003
+_AWAY_AT_MOST = 0.0015  # s in one turn
+# A turn in vain costs its time, so it is tried again after a while (s) that grows.
+_SLEEP_FOR = 0.1
+_SLEEP_AT_MOST = 2.0
+
+
+class Look:
+    """What a thread that serves nodes does between two turns of their executor."""
+
+    def __init__(self) -> None:
+        self._crowded_until = -math.inf
+        self._sleep_for = _SLEEP_FOR
+
+    def on(self, subscriptions: Sequence[LoopSubscription], paces: Sequence[Pace]) -> float:
+        """Handle the messages that come and the periods that are due, for a few milliseconds.
+
+        Parameters
+        ----------
+        subscriptions : sequence of LoopSubscription
+            Those that the executor does not serve.
+        paces : sequence of Pace
+            What begins periods.
+
+        Returns
+        -------
+        float
+            How long the executor may wait until it has something to serve (s); 0 if it shall serve
+            what is due at once.
+        """
+        takes = [(each.take, each.msg_class, each.callback, each) for each in subscriptions]
+        quiet = {each for each in subscriptions if each.lively}
+        patient = bool(quiet)
+        clock = time.monotonic
+        now = clock()
+        deadline = now + SERVE_EVERY
+        crowded = now < self._crowded_until
+        away = 0.0
+        while True:
+            idle = True
+            for take, msg_class, callback, each in takes:
+                message = take(msg_class, True)
+                if message is not None:
+                    quiet.discard(each)
+                    callback(message[0])
+                    idle = False
+            now = clock()
+            for pace in paces:
+                if now >= pace.due:
+                    pace.on_tick()
+                    idle = False
+            if now >= deadline:
+                break
+            if not idle:
+                continue
+            if crowded or not patient:
+                due = min((pace.due for pace in paces), default=math.inf)
+                if crowded or due == math.inf:
+                    return max(min(due - now, _IDLE), 0.0)
+            os.sched_yield()
+            took = clock() - now
+            if took > _AWAY:
+                away += took
+        if away > _AWAY_AT_MOST:
+            self._crowded_until = now + self._sleep_for
+            self._sleep_for = min(2.0 * self._sleep_for, _SLEEP_AT_MOST)
+        elif not away:
+            self._sleep_for = _SLEEP_FOR
+        for each in subscriptions:
+            if each in quiet or away > _AWAY_AT_MOST:
+                each.sleep(self._crowded_until)
+        return 0.0
