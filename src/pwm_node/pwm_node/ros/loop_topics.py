@@ -32,8 +32,9 @@ _PUBLISH_UNWAITING = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIAB
 SUBSCRIBE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 # The executor is served at this interval (s) while the loop runs. Messages that follow each other
-# faster are looked for.
+# faster are looked for: so many of them, since a few may come together after a delay.
 SERVE_EVERY = 0.004
+_FAST_IN_A_ROW = 10
 
 # An executor may have a message to deliver from before, and does not hold what it refers to.
 _REMOVED: deque[Any] = deque(maxlen=16)
@@ -254,17 +255,20 @@ class LoopSubscription:
         self.direct = False
         self.lively = False
         self._served_at = -math.inf
+        self._fast = 0
 
     def _serve(self, data: bytes) -> None:
         """Handle a message that the executor has taken."""
         now = time.monotonic()
-        self.lively |= 0.0 <= now - self._served_at < SERVE_EVERY
+        self._fast = self._fast + 1 if 0.0 <= now - self._served_at < SERVE_EVERY else 0
+        self.lively |= self._fast >= _FAST_IN_A_ROW
         self._served_at = max(now, self._served_at)
         self.callback(data)
 
     def sleep(self, until: float) -> None:
         """Leave the next messages to the executor, and those that come before a time (s)."""
         self.lively = False
+        self._fast = 0
         self._served_at = until
 
     def destroy(self) -> None:
