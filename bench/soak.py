@@ -4,27 +4,35 @@ References, load, DC-link voltage, noise, scheme and the controller's model chan
 random from a seed, through the checks that a change from outside goes through. Lost periods, a
 fault, or memory that grows beyond chance make the exit code 1. Ctrl-C ends it early, with the
 report so far.
+
+`--record` records all of it as `mfpcc run` does, and counts the messages of the bag at the end.
+`--separate` has the controller in a process of its own, and no black box.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 import math
 import os
+import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import drives
 import numpy as np
+import yaml
 from mfpcc_msgs.msg import DriveStatus
 from numpy.typing import NDArray
 from rcl_interfaces.msg import Log
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
@@ -33,8 +41,11 @@ from rich.table import Table
 
 from mfpcc_controller.node import MfpccController
 from mfpcc_controller.parameters import SCHEMES
-from mfpcc_experiments.graph import BlackBoxNode
+from mfpcc_experiments.bags import LOOP_TOPICS, BagWriter
+from mfpcc_experiments.graph import BlackBoxNode, session
+from mfpcc_experiments.graph.recorder import Recorder
 from pmsm_sim.node import PmsmSim
+from pwm_node import interrupts
 from pwm_node.ros import spin
 from pwm_node.ros.node import PwmNode
 
@@ -44,6 +55,9 @@ CHANGES_PER_SECOND = 5.0
 #: Reversals at the current limit of the motor would add to the ripple of a scheme that applies one
 #: vector per period, and trip the drive rightly.
 CONTROLLER = {"torque_limit": 7.0}
+
+#: Of a controller in a process of its own: how fast the machine is must not decide.
+PATIENT = {"fault.feedback_timeout": 0.0}
 
 #: Share of the run after which memory counts: until then tables, rings and histories fill.
 WARM_UP = 0.1
@@ -55,6 +69,7 @@ PIECE = 1.0
 
 _SAMPLES = 2000  # of the memory, over the whole run
 _LOOK_EVERY = 0.25  # s
+_LAST_WITHIN = 10.0  # s
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 Change = Callable[[np.random.Generator], Mapping[str, Any]]
@@ -123,6 +138,22 @@ class Controller(Restless, MfpccController):
     """The controller, restless."""
 
 
+def make_controller(seed: int, more: Mapping[str, Any], **options: Any) -> Controller:
+    """A controller that changes by this seed."""
+    node = Controller(parameter_overrides=session.overrides({**CONTROLLER, **more}), **options)
+    node.begin_changes(controller_change, seed, 1)
+    return node
+
+
+def controller_process() -> int:
+    """Run the controller in this process until it is stopped; then tell its parent."""
+    seed, more = json.loads(sys.argv[2])
+    made: list[Controller] = []
+    code = spin.main(lambda: made.append(make_controller(seed, more)) or made[0], args=[])
+    print(json.dumps({"lost_periods": made[0].lost_periods if made else None}))
+    return code
+
+
 # --- Watching ------------------------------------------------------------------------------------
 
 
@@ -170,6 +201,8 @@ class Soak:
         What was latched, by node and code.
     log_lines, log_bytes : int
         What came on ``/rosout``.
+    controller : Popen, optional
+        Of the controller, if it is a process of its own.
     """
 
     periods: int
@@ -180,6 +213,7 @@ class Soak:
     log_lines: int = 0
     log_bytes: int = 0
     over: Future = field(default_factory=Future)
+    controller: subprocess.Popen[str] | None = None
 
     def on_log(self, message: Log) -> None:
         """Count a line of log."""
@@ -190,15 +224,23 @@ class Soak:
         """A fault ends the run: nothing here should lead to one."""
         for fault in message.faults:
             self.faults[message.node, fault.code] = f"in period {fault.period}: {fault.detail}"
-        if message.faults and not self.over.done():
+        if message.faults:
+            self._end()
+
+    def _end(self) -> None:
+        if not self.over.done():
             self.over.set_result(None)
 
     def look(self, plant: PwmNode) -> None:
         """Sample the memory, and say how far it is."""
+        if self.controller is not None and self.controller.poll() is not None:
+            self._end()
         hours = max(plant.period, 0) / plant.values["pwm_frequency"] / 3600.0
         if plant.period < self.samples * self.periods / _SAMPLES:
             return
         megabytes = resident()
+        if self.controller is not None:
+            megabytes += resident(self.controller.pid)
         self.memory[self.samples] = hours, megabytes
         self.samples += 1
         if sys.stderr.isatty():
@@ -212,10 +254,12 @@ class Soak:
             )
 
 
-def resident() -> float:
-    """Memory of this process that is in use (MB)."""
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * _PAGE / 1e6
+def resident(process: int | str = "self") -> float:
+    """Memory of a process that is in use (MB)."""
+    try:
+        return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * _PAGE / 1e6
+    except OSError:
+        return 0.0  # it has ended
 
 
 # --- The report ----------------------------------------------------------------------------------
@@ -254,11 +298,11 @@ def slope(memory: NDArray[np.float64]) -> Slope | None:
     return Slope(value, math.sqrt(covariance[0, 0]), value * (samples[-1, 0] - samples[0, 0]))
 
 
-def report(soak: Soak, plant: Plant, controller: Controller, wall: float) -> int:
+def report(soak: Soak, plant: Plant, lost: int, wall: float, bag: Path | None) -> int:
     """Print what was seen; returns the exit code."""
     done = max(plant.period, 0)
     simulated = done / plant.values["pwm_frequency"]
-    lost = controller.lost_periods + int(plant.core.st["missed"][0])
+    lost += int(plant.core.st["missed"][0])
     memory = soak.memory[: soak.samples]
     growth = slope(memory)
     percentile = soak.times.percentile
@@ -280,6 +324,14 @@ def report(soak: Soak, plant: Plant, controller: Controller, wall: float) -> int
         ("period, longest", f"{soak.times.longest / 1e3:.1f} ms", ""),
         ("log", f"{soak.log_lines} lines, {soak.log_bytes} bytes", ""),
     ]
+    missing = 0
+    if bag is not None:
+        counts, size = recorded(bag)
+        missing = sum(abs(done - counts.get(topic, 0)) for topic in LOOP_TOPICS)
+        rows += [
+            ("recorded, of each topic", f"{min(counts.values()):,}", f"{done:,}"),
+            ("recording", f"{size / 1e9:.2f} GB, {size / done:.0f} B per period", ""),
+        ]
     table = Table()
     table.add_column("soak")
     table.add_column("measured", justify="right")
@@ -289,7 +341,19 @@ def report(soak: Soak, plant: Plant, controller: Controller, wall: float) -> int
     Console().print(table)
     for (node, code), what in soak.faults.items():
         print(f"{node}: {code} {what}")
-    return 1 if lost or soak.faults or (growth is not None and growth.significant) else 0
+    # the index of a bag is kept until it is finished, so memory grows with a recording
+    grows = bag is None and growth is not None and growth.significant
+    return int(bool(lost or missing or soak.faults or grows))
+
+
+def recorded(bag: Path) -> tuple[dict[str, int], int]:
+    """Messages of a bag by topic, and its size (bytes)."""
+    info = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    counts = {
+        topic["topic_metadata"]["name"].lstrip("/"): int(topic["message_count"])
+        for topic in info["topics_with_message_count"]
+    }
+    return counts, sum(file.stat().st_size for file in bag.iterdir())
 
 
 # --- The run -------------------------------------------------------------------------------------
@@ -302,50 +366,109 @@ def main() -> int:
     os.environ.setdefault("ROS_DOMAIN_ID", str(2 + os.getpid() % 97))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     soak = Soak(periods=round(arguments.minutes * 60e4))
-    with drives.graph() as context:
+    bag: Path | None = arguments.out / "recording" if arguments.record else None
+    with contextlib.ExitStack() as stack:
+        context = stack.enter_context(drives.graph())
         wishes = {"periods": soak.periods, "seed": arguments.seed}
-        plant = Plant(context=context, parameter_overrides=_overrides(wishes))
-        controller = Controller(context=context, parameter_overrides=_overrides(CONTROLLER))
-        box = BlackBoxNode(
-            [plant, controller],
-            context=context,
-            parameter_overrides=_overrides({"black_box": str(arguments.out)}),
-        )
+        plant = Plant(context=context, parameter_overrides=session.overrides(wishes))
+        stack.callback(plant.destroy_node)
         plant.begin_changes(plant_change, arguments.seed, 0)
-        controller.begin_changes(controller_change, arguments.seed, 1)
-        _time_periods(plant, soak.times)
+        nodes: list[Node] = [plant]
+        writer = None
+        if bag is not None:
+            writer = stack.enter_context(BagWriter(bag, config={"engine": "ros"}, force=True))
+        if arguments.separate:
+            watch = Node("watch", context=context)
+            if writer is not None:
+                answers = ("duty_command", "lut_diagnostics")
+                nodes.append(Recorder(writer, topics=answers, context=context))
+            soak.controller = stack.enter_context(
+                _process(arguments.seed, recorders=len(nodes) - 1)
+            )
+        else:
+            nodes.append(make_controller(arguments.seed, {}, context=context))
+            out = {"black_box": str(arguments.out)}
+            watch = BlackBoxNode(nodes, context=context, parameter_overrides=session.overrides(out))
+        nodes.append(watch)
+        for node in nodes[1:]:
+            stack.callback(node.destroy_node)
+        _tap(nodes, soak.times, writer)
         latest = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        box.create_subscription(DriveStatus, "drive_status", soak.on_status, latest)
-        box.create_subscription(Log, "/rosout", soak.on_log, 1000)
+        watch.create_subscription(DriveStatus, "drive_status", soak.on_status, latest)
+        watch.create_subscription(Log, "/rosout", soak.on_log, 1000)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        box.create_timer(_LOOK_EVERY, lambda: soak.look(plant), clock=steady)
-        code = spin.run([plant, controller, box], until=soak.over)
+        watch.create_timer(_LOOK_EVERY, lambda: soak.look(plant), clock=steady)
+        code = spin.run(nodes, until=soak.over)
         wall = time.monotonic() - soak.times.began
         print(file=sys.stderr)
-        # without a sample it has not begun; why was said
-        result = report(soak, plant, controller, wall) if soak.samples else 1
-        for node in (plant, controller, box):
-            node.destroy_node()
-    return code or result
+        if not soak.samples:
+            return code or 1  # it has not begun; why was said
+        if soak.controller is None:
+            lost = nodes[1].lost_periods
+        else:
+            soak.controller.terminate()
+            lost = json.loads(soak.controller.communicate()[0])["lost_periods"]
+        for node in nodes:
+            if isinstance(node, Recorder):
+                _take_the_rest(node, plant.period)
+        if writer is not None:
+            writer.close()
+        return code or report(soak, plant, lost, wall, bag)
 
 
-def _time_periods(plant: PmsmSim, times: PeriodTimes) -> None:
-    """Look at the clock with each sample that is published."""
-    keep = plant.tap
-    assert keep is not None
+def _take_the_rest(recorder: Recorder, periods: int) -> None:
+    """Take what the controller has published last: it may come after the end of the run."""
+    deadline = time.monotonic() + _LAST_WITHIN
+    last = recorder.last_period
+    while last["duty_command"] < periods or last["lut_diagnostics"] < periods - 1:
+        if time.monotonic() > deadline:
+            return  # the count of the messages will tell
+        recorder.take_all()
+        time.sleep(0.001)
 
-    def tap(topic: str) -> Callable[[bytes], None]:
-        append = keep(topic)
-        if topic != "phase_feedback":
-            return append
 
-        def tick_and_append(data: bytes) -> None:
-            times.tick()
-            append(data)
+@contextlib.contextmanager
+def _process(seed: int, **values: Any) -> Iterator[subprocess.Popen[str]]:
+    """The controller in a process of its own."""
+    command = [sys.executable, __file__, "--controller", json.dumps([seed, values])]
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env=interrupts.ending_with_this_process(),
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
 
-        return tick_and_append
 
-    plant.tap = tap
+def _tap(nodes: Sequence[Node], times: PeriodTimes, writer: BagWriter | None) -> None:
+    """Look at the clock with each sample, and hand every message to the recording."""
+
+    def tapped(node: PwmNode) -> Callable[[str], Callable[[bytes], None]]:
+        keep = node.tap
+
+        def tap(topic: str) -> Callable[[bytes], None]:
+            sinks = [] if keep is None else [keep(topic)]
+            if writer is not None:
+                sinks.append(session.sink(writer, topic))
+            tick = times.tick if topic == "phase_feedback" else None
+
+            def take(data: bytes) -> None:
+                if tick is not None:
+                    tick()
+                for sink in sinks:
+                    sink(data)
+
+            return take
+
+        return tap
+
+    for node in nodes:
+        if isinstance(node, PwmNode):
+            node.tap = tapped(node)
 
 
 def _arguments() -> argparse.Namespace:
@@ -356,14 +479,16 @@ def _arguments() -> argparse.Namespace:
         "--out",
         type=Path,
         default=Path("out/soak"),
-        help="where a fault, which should not be, leaves its bag (out/soak)",
+        help="where a fault, which should not be, leaves its bag, and the recording is (out/soak)",
+    )
+    parser.add_argument("--record", action="store_true", help="record every message")
+    parser.add_argument(
+        "--separate", action="store_true", help="the controller in a process of its own"
     )
     return parser.parse_args()
 
 
-def _overrides(values: Mapping[str, Any]) -> list[Parameter]:
-    return [Parameter(name, value=value) for name, value in values.items()]
-
-
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["--controller"]:
+        interrupts.run("soak:controller_process", node=True)
     sys.exit(main())
