@@ -39,6 +39,10 @@ demo: build  ## one experiment with three schemes, recorded and compared: out/de
 	$(IN_ENVIRONMENT) mfpcc run steady_750_2 --scheme mbpcc --scheme mfpcc --scheme mls_mfpcc \
 	    --out out/demo --force
 
+.PHONY: sweeps
+sweeps: build  ## that, and what `mfpcc sweep` needs beside: pyarrow, Dask
+	@$(SET_UP) sweeps
+
 .PHONY: test
 test:  ## all tests, two at a time; with ARGS='-k wire' those that you name
 	@$(SET_UP) workspace development

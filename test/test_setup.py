@@ -154,7 +154,7 @@ def test_locks_hold_names_versions_and_hashes_only():
     for file in sorted((ROOT / "requirements").iterdir()):
         assert "://" not in file.read_text(), file.name
     locks = {file.stem: locked(file) for file in (ROOT / "requirements").glob("*.txt")}
-    assert {"installer", "seed", "run", "ros", "dev"} == locks.keys()
+    assert {"installer", "seed", "run", "ros", "sweep", "dev"} == locks.keys()
     assert all(locks.values())
     for one, other in itertools.combinations(locks, 2):  # they are installed together
         for name in locks[one].keys() & locks[other].keys():
@@ -164,13 +164,15 @@ def test_locks_hold_names_versions_and_hashes_only():
 def required(*files: str) -> set[str]:
     """Names that requirements/FILE.in ask for."""
     text = "".join((ROOT / f"requirements/{file}.in").read_text() for file in files)
-    lines = [line for line in text.splitlines() if line and line[0] != "#"]
+    lines = [line for line in text.splitlines() if line and line[0] not in "#-"]
     return {re.split(r"[<>=\[; ]", line)[0].replace("-", "_") for line in lines}
 
 
 def test_all_that_is_imported_is_required():
     used = {name for p in PYTHON_PACKAGES for name in imports(ROOT / "src" / p / p)} - {*FROM_ROS}
-    assert {"pyyaml" if name == "yaml" else name for name in used} == required("run")
+    assert {"pyyaml" if name == "yaml" else name for name in used} - required("sweep") == (
+        required("run")
+    )
 
 
 def test_all_that_tests_and_tools_import_is_required():
@@ -180,7 +182,7 @@ def test_all_that_tests_and_tools_import_is_required():
     used = {name for folder in folders for name in imports(folder)} - ours
     names = {"yaml": "pyyaml", "markdown_it": "markdown_it_py", "launch": "", "launch_ros": ""}
     used = {names.get(name, name) for name in used}
-    assert used - {""} <= required("run", "build", "dev", "seed")
+    assert used - {""} <= required("run", "build", "sweep", "dev", "seed")
 
 
 def test_a_demonstration_needs_nothing_that_only_development_does():
@@ -188,6 +190,9 @@ def test_a_demonstration_needs_nothing_that_only_development_does():
     for name in ("hypothesis", "motulator", "mypy", "pytest-timeout", "ruff", "uv"):
         assert name in locked_names("dev")
         assert name not in runs
+    sweeps = locked_names("sweep")
+    assert {"pyarrow", "distributed"} <= sweeps - runs
+    assert sweeps <= locked_names("dev")  # so that they are tested
 
 
 # Set-up ---------------------------------------------------------------------------------------
@@ -298,12 +303,18 @@ def test_an_environment_that_is_half_removed_is_ours_and_not_whole(tmp_path, mon
         "VENV": "",
         "MARK": program.MARK.name,
         "ENVIRONMENT_STAMP": program.ENVIRONMENT_STAMP.name,
-        "DEVELOPMENT_STAMP": program.DEVELOPMENT_STAMP.name,
     }
     for name, file in names.items():
         monkeypatch.setattr(program, name, folder / file)
         if file:
             (folder / file).touch()
+    more = {
+        part: (lock, folder / stamp.name, what)
+        for part, (lock, stamp, what) in program.MORE.items()
+    }
+    monkeypatch.setattr(program, "MORE", more)
+    for _, stamp, _ in more.values():
+        stamp.touch()
     (folder / "bin").mkdir()
     (folder / "pyvenv.cfg").touch()
 

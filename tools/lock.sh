@@ -19,9 +19,10 @@ lock() { # OUTPUT INPUT...
 }
 
 # All at once first, so that the parts, which share packages, agree on every version.
-lock "$all" installer.in seed.in run.in build.in ros.in dev.in
+lock "$all" installer.in seed.in run.in build.in ros.in sweep.in dev.in
 lock installer.txt installer.in --constraint "$all"
 lock seed.txt seed.in --constraint "$all"
 lock run.txt run.in build.in --constraint "$all"
 lock ros.txt ros.in --constraint "$all"
+lock sweep.txt sweep.in --constraint "$all"
 lock dev.txt dev.in --constraint "$all"

@@ -2,7 +2,8 @@
 
     set_up.py environment    .venv: a Python environment with what runs and builds, ROS 2 included
     set_up.py workspace      that, and build/ and install/: the packages of src/ and config/
-    set_up.py development    .venv, and in it what tests, checks and measures
+    set_up.py sweeps         .venv, and in it what sweeps and tuning need
+    set_up.py development    .venv, and in it what tests, checks and measures; sweeps too
 
 Several may be named. What the machine must have is looked at first.
 
@@ -40,11 +41,9 @@ VENV = ROOT / ".venv"
 BUILD = ROOT / "build"
 INSTALL = ROOT / "install"
 REQUIREMENTS = ROOT / "requirements"
-DEVELOPMENT_LOCK = REQUIREMENTS / "dev.txt"
 
 # The same names are in .gitignore and, for the workspace, in setup.bash.
 ENVIRONMENT_STAMP = VENV / ".complete"
-DEVELOPMENT_STAMP = VENV / ".development-complete"
 WORKSPACE_STAMP = INSTALL / ".complete"
 LOCK = ROOT / ".set-up.lock"
 # The first thing that is put into .venv: what is not marked was made by somebody else.
@@ -61,7 +60,20 @@ READ = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt", "msg/*", "srv/
 Stamp = dict[str, Any]
 
 
-PARTS = ("environment", "workspace", "development")
+# Parts that are packages more in .venv: the lock, the stamp, and what is said.
+MORE = {
+    "sweeps": (
+        REQUIREMENTS / "sweep.txt",
+        VENV / ".sweeps-complete",
+        "what sweeps and tuning need",
+    ),
+    "development": (
+        REQUIREMENTS / "dev.txt",
+        VENV / ".development-complete",
+        "what tests, checks and measures",
+    ),
+}
+PARTS = ("environment", "workspace", *MORE)
 
 
 def main() -> int:
@@ -102,8 +114,9 @@ def _is_complete(part: str) -> bool:
         return False
     if part == "workspace":
         return _read(WORKSPACE_STAMP) == _workspace_stamp()
-    if part == "development":
-        return _read(DEVELOPMENT_STAMP) == _development_stamp()
+    if part in MORE:
+        lock, stamp, _ = MORE[part]
+        return _read(stamp) == _stamp_of(lock)
     return True
 
 
@@ -112,8 +125,9 @@ def _make(parts: list[str], steps: Steps) -> None:
         _make_environment(steps)
     if "workspace" in parts and not _is_complete("workspace"):
         _make_workspace(steps)
-    if "development" in parts and not _is_complete("development"):
-        _make_development(steps)
+    for part in MORE:
+        if part in parts and not _is_complete(part):
+            _make_more(part, steps)
 
 
 def _environment_is_complete() -> bool:
@@ -171,21 +185,24 @@ def _empty_environment() -> None:
         VENV.unlink()
     VENV.mkdir(exist_ok=True)
     MARK.touch()
-    for stamp in (ENVIRONMENT_STAMP, DEVELOPMENT_STAMP):
+    for stamp in (ENVIRONMENT_STAMP, *(stamp for _, stamp, _ in MORE.values())):
         stamp.unlink(missing_ok=True)
     for path in VENV.iterdir():
         if path != MARK:
             _remove(path)
 
 
-def _make_development(steps: Steps) -> None:
-    DEVELOPMENT_STAMP.unlink(missing_ok=True)
-    print("set-up: what tests, checks and measures", flush=True)
-    _forget(_names((DEVELOPMENT_LOCK,)) - _names(_locks()))
+def _make_more(part: str, steps: Steps) -> None:
+    lock, stamp, what = MORE[part]
+    stamp.unlink(missing_ok=True)
+    print(f"set-up: {what}", flush=True)
+    _forget(_names((lock,)) - _names(_locks()))
     with _installer(steps) as installer:
-        installer.install("packages", DEVELOPMENT_LOCK)
-    _check_environment(steps, *_locks(), DEVELOPMENT_LOCK)
-    _write(DEVELOPMENT_STAMP, _development_stamp())
+        installer.install("packages", lock)
+    # what another part has put there stays
+    there = [lock for lock, stamp, _ in MORE.values() if stamp.exists()]
+    _check_environment(steps, *_locks(), *there, lock)
+    _write(stamp, _stamp_of(lock))
 
 
 def _forget(names: set[str]) -> None:
@@ -278,8 +295,8 @@ def _workspace_stamp() -> Stamp:
     }
 
 
-def _development_stamp() -> Stamp:
-    return {"environment": _read(ENVIRONMENT_STAMP), "requirements": _hash_of([DEVELOPMENT_LOCK])}
+def _stamp_of(lock: Path) -> Stamp:
+    return {"environment": _read(ENVIRONMENT_STAMP), "requirements": _hash_of([lock])}
 
 
 def _packages() -> Iterator[tuple[str, Path]]:

@@ -264,12 +264,15 @@ class Table(Mapping[str, Parameter]):
             if parameter.read_only and current is not None:
                 raise ParameterError(f"'{name}' is read-only: it can be set at start only")
             accepted[name] = parameter.validate(value)
-        if self._check is not None:
-            base = self.defaults() if current is None else current
-            reason = self._check({**base, **accepted})
-            if reason is not None:
-                raise ParameterError(reason)
+        base = self.defaults() if current is None else current
+        reason = self.rule({**base, **accepted})
+        if reason is not None:
+            raise ParameterError(reason)
         return accepted
+
+    def rule(self, values: Mapping[str, Value]) -> str | None:
+        """Return why complete values, each acceptable, are not so together; None if they are."""
+        return None if self._check is None else self._check(values)
 
     def extended(self, *parameters: Parameter) -> Table:
         """Return a table with more parameters and the same rules across parameters."""

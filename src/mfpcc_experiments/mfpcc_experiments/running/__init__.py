@@ -1,9 +1,9 @@
 """One run of an experiment.
 
 `scenario` is the experiment as data, `run` records it with one scheme after another, by either of
-the `ENGINES`. `engine` is the drive without ROS, and `closed_loop` a run of it in memory; `batch` runs
-many and measures them, without a recording. What is stored with one comes from `configuration`, and
-`trace` writes it.
+the `ENGINES`. `engine` is the drive without ROS, `closed_loop` a run of it in memory, and `batch`
+runs many and measures them, without a recording. What is stored with a recording comes from
+`configuration`, and `trace` writes one.
 """
 
 from __future__ import annotations

@@ -232,7 +232,9 @@ class Batch:
         self.i_abc = np.zeros((n, 3 * oversampling))
         self._legs = np.zeros(oversampling, np.uint8)
         self._seen = np.zeros(1, _STATE)
-        self._messages = [Wire(kind).fixed for kind in (PhaseFeedback, DriveState, LutDiagnostics)]
+        kinds = (DutyCommand, PhaseFeedback, DriveState, LutDiagnostics)
+        self._messages = [Wire(kind).fixed for kind in kinds]
+        self._fresh = [message.copy() for message in self._messages]
         self._advance: Any = None
         self._measure: Any = None
 
@@ -255,10 +257,8 @@ class Batch:
         """Run a drive; returns it as it is at the end. `outcome` has one row, of `OUTCOME`."""
         plant = Plant(drive.plant, drive.plant_motor)
         controller = Controller(drive.controller, drive.controller_motor)
-        command = Wire(DutyCommand).fixed
         seen, row = self._begin(drive), outcome[0]
-        arguments = [plant.par, plant.st, controller.cfg, controller.mem, command]
-        arguments += [*self._messages, seen]
+        arguments = [plant.par, plant.st, controller.cfg, controller.mem, *self._messages, seen]
         if self._advance is None:
             self._advance = direct(
                 _advance, *arguments, self.periods, self.signals, self.i_abc, self._legs
@@ -293,7 +293,10 @@ class Batch:
         course["n_p"], course["i_max"] = motor.n_p, motor.i_max
         course["w_max"] = motor.speed_max_rpm * RPM
         course["tau_max"] = 1.5 * motor.n_p * motor.psi_f * motor.i_max
-        course["changed"] = any(self._first < period < self._end for period, _, _ in drive.changes)
-        for message in self._messages:
-            message[:] = np.zeros(1, message.dtype)
+        course["changed"] = any(
+            self._first < period < self._end and {*of_plant, *of_controller} != {"scheme"}
+            for period, of_plant, of_controller in drive.changes
+        )
+        for message, fresh in zip(self._messages, self._fresh, strict=True):
+            message[:] = fresh
         return seen

@@ -10,6 +10,7 @@ done by hand with `ros2 param set`.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,10 +24,11 @@ from pwm_node import yaml_files
 from pwm_node.names import unknown
 from pwm_node.parameters import ParameterError, Table
 
-_TABLES: Mapping[str, Table] = {"plant": PLANT, "controller": CONTROLLER}
+#: The parameters of the two nodes.
+TABLES: Mapping[str, Table] = {"plant": PLANT, "controller": CONTROLLER}
 
-# Parameters that a scenario's sections may not set, and where they come from instead.
-_ELSEWHERE = {
+#: Parameters that a scenario's sections may not set, and where they come from instead.
+ELSEWHERE = {
     "motor": "stands at the top of the file, for both nodes",
     "pwm_frequency": "stands at the top of the file, for both nodes",
     "schedule": "stands at the top of the file, for both nodes",
@@ -36,14 +38,14 @@ _ELSEWHERE = {
     "recorders": "is set by what records",
 }
 
-# A parameter of the plant that the controller is told as well, unless its section says otherwise.
-_TOLD = "load.inertia"
+#: A parameter of the plant that the controller is told as well, unless its section says otherwise.
+TOLD = "load.inertia"
 
 # Keys of the file that are no section: what may be said otherwise with `changed`.
 _KEYS = ("motor", "pwm_frequency", "speed_rpm", "duration", "window_s")
 
 
-def _resolve(name: str, beside: Iterable[str] = ()) -> tuple[str, str]:
+def resolve(name: str, beside: Iterable[str] = ()) -> tuple[str, str]:
     """
     Which of the two nodes a parameter belongs to, and what that node calls it.
 
@@ -60,27 +62,27 @@ def _resolve(name: str, beside: Iterable[str] = ()) -> tuple[str, str]:
         If there is none of this name, with the nearest; or if both nodes have one.
     """
     part, _, rest = name.partition(".")
-    if part in _TABLES and rest:
-        if rest not in _TABLES[part]:
-            raise ValueError(_TABLES[part].unknown(rest).reason)
+    if part in TABLES and rest:
+        if rest not in TABLES[part]:
+            raise ValueError(TABLES[part].unknown(rest).reason)
         return part, rest
-    parts = [part for part, table in _TABLES.items() if name in table]
-    if len(parts) > 1 and name not in (*_ELSEWHERE, _TOLD):
+    parts = [part for part, table in TABLES.items() if name in table]
+    if len(parts) > 1 and name not in (*ELSEWHERE, TOLD):
         raise ValueError(
             f"both nodes have a parameter '{name}': say which one is meant, "
             + " or ".join(f"'{part}.{name}'" for part in parts)
         )
     if parts:
         return parts[0], name
-    names = {n for table in _TABLES.values() for n in table if n not in _ELSEWHERE}
-    also = {other: n for table in _TABLES.values() for other, n in table.also.items()}
+    names = {n for table in TABLES.values() for n in table if n not in ELSEWHERE}
+    also = {other: n for table in TABLES.values() for other, n in table.also.items()}
     raise ValueError(unknown("parameter", name, names | set(beside), also))
 
 
 def _validated(part: str, values: Mapping[str, Any]) -> dict[str, Any]:
     """Values in their parameters' types."""
     try:
-        return dict(_TABLES[part].validate(values))
+        return dict(TABLES[part].validate(values))
     except ParameterError as error:
         raise ValueError(error.reason) from None
 
@@ -90,10 +92,10 @@ def _section(part: str) -> AfterValidator:
 
     def check(values: dict[str, Any]) -> dict[str, Any]:
         for name in values:
-            if name in _ELSEWHERE:
-                raise ValueError(f"'{name}' {_ELSEWHERE[name]}")
-            if name not in _TABLES[part]:
-                owner, parameter = _resolve(name)
+            if name in ELSEWHERE:
+                raise ValueError(f"'{name}' {ELSEWHERE[name]}")
+            if name not in TABLES[part]:
+                owner, parameter = resolve(name)
                 where = f"move it to '{owner}'" if owner != part else f"here it is '{parameter}'"
                 raise ValueError(f"'{name}' is a parameter of the {owner}: {where}")
         return _validated(part, values)
@@ -108,8 +110,8 @@ def _check_change(change: dict[str, Any]) -> dict[str, Any]:
         raise ValueError("the time is missing or no number; expected {at: SECONDS, NAME: VALUE}")
     checked: dict[str, Any] = {"at": float(at)}
     for name in (key for key in change if key != "at"):
-        owner, parameter = _resolve(name)
-        if _TABLES[owner][parameter].read_only:
+        owner, parameter = resolve(name)
+        if TABLES[owner][parameter].read_only:
             raise ValueError(f"'{name}' is fixed at start: it cannot be in the schedule")
         checked[name] = _validated(owner, {parameter: change[name]})[parameter]
     if len(checked) == 1:
@@ -228,7 +230,7 @@ class Scenario(BaseModel):
         controller = {
             "speed_ref_rpm": self.speed_rpm,
             **in_lock_step,
-            _TOLD: plant[_TOLD],
+            TOLD: plant[TOLD],
             **self.controller,
             **both,
             "scheme": scheme,
@@ -243,7 +245,7 @@ class Scenario(BaseModel):
             for change in self.schedule
             for name, value in change.items()
             if name != "at"
-            for owner, parameter in [_resolve(name)]
+            for owner, parameter in [resolve(name)]
             if owner == part
         ]
 
@@ -305,13 +307,13 @@ def changed(scenario: Scenario, changes: Iterable[str]) -> Scenario:
             values[name] = value.strip("[]").split(",") if name == "window_s" else value
             places[name] = "", name
             continue
-        if name in _ELSEWHERE:
-            raise ParameterError(f"'{name}' {_ELSEWHERE[name]}")
+        if name in ELSEWHERE:
+            raise ParameterError(f"'{name}' {ELSEWHERE[name]}")
         try:
-            part, parameter = _resolve(name, _KEYS)
+            part, parameter = resolve(name, _KEYS)
         except ValueError as error:
             raise ParameterError(str(error)) from None
-        values[part][parameter] = _TABLES[part][parameter].parse(value)
+        values[part][parameter] = TABLES[part][parameter].parse(value)
         places[name] = part, parameter
     return _revised(scenario, values, places)
 
@@ -339,7 +341,7 @@ def with_parameters(
     for part, changes in (("plant", plant), ("controller", controller)):
         values[part].update(changes)
         for name in changes:
-            of_both = all(name in table for table in _TABLES.values())
+            of_both = all(name in table for table in TABLES.values())
             places[f"{part}.{name}" if of_both else name] = part, name
     return _revised(scenario, values, places)
 
@@ -357,3 +359,73 @@ def _revised(
         for name, (part, key) in places.items()
     }
     return found.model_copy(update={"changes": {**scenario.changes, **listed}})
+
+
+def varied(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    """
+    The scenario with other values, of its schedule too.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What the file says.
+    values : mapping
+        By the name of a key or a parameter, as with `changed`, or `schedule[N].NAME`.
+
+    Raises
+    ------
+    pwm_node.parameters.ParameterError
+        If a name or a value is not acceptable, by the rules of the file and of the node.
+    """
+    content = scenario.model_dump()
+    places: dict[str, tuple[str, str]] = {}
+    for name, value in values.items():
+        entry = scheduled(scenario, name)
+        if entry is not None:
+            number, parameter = entry
+            content["schedule"][number][parameter] = value
+        elif name in _KEYS:
+            content[name] = value
+            places[name] = "", name
+        else:
+            try:
+                part, parameter = resolve(name, _KEYS)
+            except ValueError as error:
+                raise ParameterError(str(error)) from None
+            content[part][parameter] = value
+            places[name] = part, parameter
+    return _revised(scenario, content, places)
+
+
+def scheduled(scenario: Scenario, name: str) -> tuple[int, str] | None:
+    """
+    Which entry of the schedule a name such as `schedule[0].load_torque` means, and what of it.
+
+    Returns
+    -------
+    tuple of (int, str), or None
+        None where the name is of another kind.
+
+    Raises
+    ------
+    pwm_node.parameters.ParameterError
+        If there is no such entry.
+    """
+    found = re.fullmatch(r"schedule\[(\d+)\]\.(.+)", name)
+    if found is None:
+        return None
+    number, parameter = int(found[1]), found[2]
+    if number >= len(scenario.schedule) or parameter not in scenario.schedule[number]:
+        raise ParameterError(
+            f"'{name}': the schedule of the experiment has no such entry; it has "
+            + (
+                ", ".join(
+                    f"schedule[{n}].{key}"
+                    for n, entry in enumerate(scenario.schedule)
+                    for key in entry
+                    if key != "at"
+                )
+                or "none"
+            )
+        )
+    return number, parameter

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Run an experiment with one or more schemes, and compare.")
-@click.argument("experiment", shell_complete=completion.experiments)
+@click.argument("experiment", required=False, shell_complete=completion.experiments)
 @click.option(
     "--scheme",
     "schemes",
@@ -60,9 +60,17 @@ if TYPE_CHECKING:
     help="Replace the experiment's value of one of its keys, or of a parameter of a node, "
     "such as duration=0.5 or mls.window=10; may be given several times.",
 )
+@click.option(
+    "--from",
+    "sweep",
+    type=click.Path(path_type=Path),
+    help="Run a row (--row) of the sweep in this folder, in place of EXPERIMENT; without --engine "
+    "in process.",
+)
+@click.option("--row", type=click.IntRange(min=0), metavar="N", help="Which row of the sweep.")
 @click.option("--force", is_flag=True, help="Replace results that are there already.")
 def command(
-    experiment: str,
+    experiment: str | None,
     schemes: tuple[str, ...],
     engine: str,
     separate: bool,
@@ -70,6 +78,8 @@ def command(
     seed: int,
     seeds: int,
     changes: tuple[str, ...],
+    sweep: Path | None,
+    row: int | None,
     force: bool,
 ) -> None:
     """Run EXPERIMENT (a name of `mfpcc list`, or a file) once per scheme, and compare.
@@ -91,11 +101,18 @@ def command(
         raise click.UsageError(unknown("engine", engine, ENGINES), context)
     if separate and engine != "ros":
         raise click.UsageError("--separate starts two ROS processes: --engine ros only", context)
-    try:
-        path = yaml_files.find("experiments", experiment)
-    except yaml_files.FileError as error:
-        raise click.UsageError(str(error), context) from None
-    wanted = scenario.load(path)
+    if sweep is not None:
+        wanted, schemes, seed, engine = _of_sweep(context, sweep)
+    elif row is not None:
+        raise click.UsageError("--row is of a sweep: --from names its folder", context)
+    elif experiment is None:
+        raise click.UsageError("Missing argument 'EXPERIMENT'", context)
+    else:
+        try:
+            path = yaml_files.find("experiments", experiment)
+        except yaml_files.FileError as error:
+            raise click.UsageError(str(error), context) from None
+        wanted = scenario.load(path)
     schemes = tuple(dict.fromkeys(schemes)) or SCHEMES
     try:
         wanted = scenario.changed(wanted, changes)
@@ -111,6 +128,26 @@ def command(
         )
     # what we record ourselves has to be whole
     conclude(rows, out, strict=True)
+
+
+def _of_sweep(context: click.Context, sweep: Path) -> tuple[Scenario, tuple[str, ...], int, str]:
+    """Experiment, scheme, seed and engine of a row of a sweep."""
+    from click.core import ParameterSource
+
+    from mfpcc_experiments.sweeping import again
+
+    given = context.params
+    if given["experiment"] is not None:
+        raise click.UsageError("--from says what is run: no EXPERIMENT beside it", context)
+    if given["row"] is None:
+        raise click.UsageError("--from needs --row: which row of the sweep", context)
+    for name in ("seed", "seeds"):
+        if context.get_parameter_source(name) != ParameterSource.DEFAULT:
+            raise click.UsageError(f"--from brings the seed of the row: no --{name}", context)
+    wanted, scheme, seed = again.experiment(sweep, given["row"])
+    chosen = context.get_parameter_source("engine") != ParameterSource.DEFAULT
+    engine = given["engine"] if chosen else "inprocess"
+    return wanted, given["schemes"] or (scheme,), seed, engine
 
 
 def _run_and_compare(

@@ -1,0 +1,33 @@
+"""
+A worker process of a sweep on this machine: jobs come in through a pipe, and their bytes go back.
+
+It ends when the pipe does, so that none is left behind when the sweep is killed.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from multiprocessing.connection import Connection
+
+from mfpcc_experiments.sweeping import work
+from pwm_node.errors import ForPeople
+
+
+def main(descriptor: int) -> None:
+    """Do jobs until there are no more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the sweep, which closes the pipe
+    with Connection(descriptor) as pipe:
+        try:
+            while True:
+                job = pipe.recv()
+                try:
+                    pipe.send((job.number, work.run(job), ""))
+                except ForPeople as error:
+                    pipe.send((job.number, None, str(error)))
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            return
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))
