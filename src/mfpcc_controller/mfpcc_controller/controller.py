@@ -93,7 +93,6 @@ def sample(cfg, mem, fb):
     if mem.chosen != cfg.scheme:
         mem.chosen = cfg.scheme
         mem.fallen = False
-        mem.failed = False
         mem.guard.overrun = 0.0
     misled, overran = protection.misled(cfg, mem), protection.overran(cfg, mem)
     if (misled or overran) and cfg.react:
@@ -282,7 +281,7 @@ class Controller:
 
     @property
     def failed(self) -> bool:
-        """Whether the fallback failed too, and the gates are off for it."""
+        """Whether the fallback failed too, and the gates are off for it until `clear_faults`."""
         return bool(self.mem["failed"][0])
 
     @property
@@ -310,11 +309,14 @@ class Controller:
         return not (self.tripped or self.mem["guard"]["awaits_zero"][0])
 
     def inherit_faults(self, other: Controller) -> None:
-        """Take over what another controller has latched, and that power waits for a zero."""
+        """Take over what another controller has latched, and that power waits for a zero.
+
+        A ramp to standstill that was on its way ends here: it does not begin anew.
+        """
         for name in ("latch", "awaits_zero"):
             self.mem["guard"][name] = other.mem["guard"][name]
         self._latch["present"] = 0
-        self._latch["tripped"] |= other.failed
+        self._latch["tripped"] |= other.failed or other.slowing
 
     def stop(self) -> None:
         """Safe torque off: the gates go off with the next command, until `clear_faults`."""

@@ -108,7 +108,7 @@ class MfpccController(PwmNode):
         """Make a controller that has seen nothing yet, but what keeps the gates off still does."""
         before = self.core
         self.core = Controller(self.values)
-        if not before.released:
+        if before.slowing or not before.released:
             self.core.inherit_faults(before)
         self._follow_core()
 

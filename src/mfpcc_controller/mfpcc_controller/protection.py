@@ -37,7 +37,7 @@ FAULTS = Faults(
             1.0,
             "Wall-clock time without a sample after which an enabled controller disables the "
             "inverter, counted in tenths of a second; 0: it waits for ever. It has to be longer "
-            "than samples are apart; gaps of more than 5 samples trip in any case",
+            "than samples are apart; five samples missing in a row trip in any case",
             unit="s",
             minimum=0.0,
             maximum=1e3,
@@ -190,7 +190,7 @@ PREDICTION = FAULTS.number("PREDICTION")
 SCHEME = FAULTS.number("SCHEME")
 INVERTER = FAULTS.number("INVERTER")
 
-# Steps of more periods than this are a loss: five samples in between are missing.
+# A step of more periods than this is a loss: five samples in between are missing, or more.
 _GAP = np.uint64(5)
 # Beyond this multiple of the current limit a sensor shows nothing but nonsense.
 _SENSOR_RANGE = 4.0

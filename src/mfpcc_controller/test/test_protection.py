@@ -10,9 +10,11 @@ from mfpcc_msgs.msg import DutyCommand, LutDiagnostics, PhaseFeedback
 
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE
+from mfpcc_controller.protection import FAULTS
 from pwm_node.wire import fixed_dtype
 
 SPEED = 78.5  # rad/s
+TOP = 1500.0 * math.pi / 30.0  # top speed of seed_750 (rad/s)
 
 
 class Drive:
@@ -29,8 +31,8 @@ class Drive:
         self.k = 0
         self.speed = SPEED
 
-    def show(self, periods=1, skip=0, **wrong):
-        """Show so many samples; `wrong` replaces what is measured."""
+    def show(self, periods=1, skip=0, add=None, **wrong):
+        """Show so many samples; `wrong` replaces what is measured, `add` comes on top of it."""
         for _ in range(periods):
             fb = self.fb
             fb["period"] = self.k
@@ -40,6 +42,8 @@ class Drive:
             fb["encoder_angle"], fb["dc_voltage"], fb["derating"] = angle, 311.0, 1.0
             for name, value in wrong.items():
                 fb[name] = value
+            for name, value in (add or {}).items():
+                fb[name] += value
             self.controller.step(fb, self.cmd, self.lut, True)
             self.k += 1 + skip
         return self
@@ -89,9 +93,29 @@ def test_overcurrent_disables_with_the_next_command():
     assert drive.controller.faults()[0][1] == 100
 
 
-def test_phase_currents_that_do_not_add_up():
-    drive = Drive().show(100).show(50, i_a=3.0)
-    assert not drive.enabled and "CURRENT_SUM" in drive.codes
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("phase", ["i_a", "i_b", "i_c"])
+def test_phase_currents_that_do_not_add_up(phase, sign):
+    limit = 0.083 * 12.0
+
+    def off_by(amperes):
+        drive = Drive().show(100)
+        for _ in range(100):
+            drive.show(1, add={phase: sign * amperes})
+        return drive
+
+    assert off_by(0.98 * limit).codes == []
+    drive = off_by(1.02 * limit)
+    assert not drive.enabled and drive.codes == ["CURRENT_SUM"]
+    assert f"{sign * limit:.1f}" in drive.controller.faults()[0][2]
+
+
+def test_the_sum_of_the_phase_currents_is_filtered_with_a_millisecond():
+    drive, seen = Drive(fault_react=False, fault_overcurrent=100.0).show(1), 0.0
+    for _ in range(10):  # 1 ms
+        drive.show(1, add={"i_b": 2.0})
+        seen = float(drive.controller.mem["guard"]["sum"][0])
+    assert seen == pytest.approx(2.0 * (1.0 - math.exp(-1.0)), rel=1e-9)
 
 
 def test_a_jump_of_the_encoder():
@@ -106,15 +130,48 @@ def test_an_encoder_that_stands_still_while_the_rotor_turns():
     assert not drive.enabled and "ENCODER" in drive.codes
 
 
-def test_overspeed():
-    drive = Drive(fault_overspeed=0.4).show(100)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_overspeed_in_either_direction(sign):
+    def at(share):
+        drive = Drive(speed_ref_rpm=sign * 750.0, fault_overspeed=SPEED / TOP / share)
+        drive.speed = sign * SPEED
+        return drive.show(200)
+
+    assert at(0.99).codes == []
+    drive = at(1.01)
     assert not drive.enabled and drive.codes == ["OVERSPEED"]
+    value = float(drive.controller.mem["guard"]["latch"]["value"][0, FAULTS.number("OVERSPEED")])
+    assert value == pytest.approx(sign * SPEED, rel=0.01)
 
 
-def test_a_gap_of_more_than_five_samples():
-    assert Drive().show(100, skip=0).show(1, skip=5).codes == []
-    drive = Drive().show(100).show(1, skip=6).show(1)
-    assert not drive.enabled and "FEEDBACK_LOST" in drive.codes
+def test_overspeed_has_to_last_for_2_ms():
+    drive = Drive().show(200)
+    drive.controller.apply({"fault.overspeed": 0.4})
+    assert drive.show(19).codes == []
+    assert drive.show(2).codes == ["OVERSPEED"]
+
+
+def test_overspeed_that_is_interrupted_begins_anew():
+    drive = Drive().show(200)
+    for _ in range(3):
+        drive.controller.apply({"fault.overspeed": 0.4})
+        drive.show(15)
+        drive.controller.apply({"fault.overspeed": 1.2})
+        drive.show(1)
+    assert drive.codes == []
+
+
+def test_five_missing_samples_are_a_loss_and_four_are_none():
+    assert Drive().show(99).show(1, skip=4).show(1).codes == []
+    drive = Drive().show(99).show(1, skip=5).show(1)
+    assert not drive.enabled and drive.codes == ["FEEDBACK_LOST"]
+    assert drive.controller.faults() == [("FEEDBACK_LOST", 105, "0.0006 s without a sample")]
+
+
+def test_the_first_sample_may_have_any_number():
+    drive = Drive()
+    drive.k = 10_000
+    assert drive.show(100).enabled and drive.codes == []
 
 
 def test_a_sample_that_comes_again_has_no_effect():
@@ -183,6 +240,35 @@ def test_power_returns_only_after_the_reference_has_been_at_zero():
     drive.controller.apply({"speed_ref_rpm": 750.0})
     drive.show(1)
     assert drive.enabled
+
+
+@pytest.mark.parametrize("reference", [{"i_q_ref": 3.0}, {"i_q_ref": -3.0}, {"i_d_ref": -3.0}])
+def test_power_returns_to_a_current_only_after_its_reference_has_been_at_zero(reference):
+    drive = Drive(control_mode="current", **reference).show(100)
+    assert drive.enabled
+    drive.controller.stop()
+    drive.show(5)
+    assert drive.controller.clear_faults() == []
+    assert not drive.show(50).enabled, "it would return into a running set-point"
+    (name,) = reference
+    drive.controller.apply({name: 0.13})  # 1 % of 12 A is at rest
+    assert not drive.show(5).enabled
+    drive.controller.apply({name: 0.12})
+    assert drive.show(1).enabled
+    drive.controller.apply(reference)
+    assert drive.show(5).enabled
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_speed_of_one_percent_is_at_rest(sign):
+    drive = Drive().show(10)
+    drive.controller.stop()
+    drive.show(1)
+    assert drive.controller.clear_faults() == []
+    drive.controller.apply({"speed_ref_rpm": sign * 15.1})
+    assert not drive.show(5).enabled
+    drive.controller.apply({"speed_ref_rpm": sign * 14.9})
+    assert drive.show(1).enabled
 
 
 def test_safe_torque_off():

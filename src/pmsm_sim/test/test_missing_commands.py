@@ -52,6 +52,26 @@ def test_missing_commands_give_the_zero_vector_then_block_the_gates(bench):
     assert drive.state[-1]["gates_on"]
 
 
+def test_clearing_counts_missing_commands_from_the_beginning(bench):
+    drive = bench().run(3).run(5, command=False)
+    drive.plant.stop()
+    drive.run(1, command=False)
+    assert drive.plant.clear_faults() == []
+    drive.run(9, command=False)
+    assert drive.plant.faults() == [], "nine in a row since they were cleared"
+    drive.run(1, command=False)
+    assert drive.plant.faults() == [
+        ("COMMAND_LOST", 18, "10 periods in a row without a valid command")
+    ]
+
+
+def test_clearing_is_refused_while_commands_are_missing(bench):
+    drive = bench().run(3).run(10, command=False)
+    assert drive.plant.clear_faults() == ["COMMAND_LOST"]
+    drive.run(1, enable=False)
+    assert drive.plant.clear_faults() == []
+
+
 def test_hold_repeats_the_command_once(bench):
     drive = bench(inverter_missing_command="hold", inverter_command_loss_limit=3)
     drive.run(2, (0.6, 0.5, 0.4))

@@ -43,6 +43,64 @@ def test_a_fault_blocks_the_gates_in_the_same_period(bench, code):
     assert drive.plant.faults()[0][1] == 5
 
 
+@pytest.mark.parametrize(("code", "volts"), [("DC_OVERVOLTAGE", 411.0), ("DC_UNDERVOLTAGE", 199.0)])
+def test_the_voltage_behind_a_rectifier_is_that_of_its_capacitor(bench, code, volts):
+    """What is charged by the grid or by braking, whatever the parameter `dc_voltage` says."""
+    drive = bench(dc_link_kind="rectifier").run(5)
+    assert drive.column("gates_on").all() and _codes(drive) == []
+    drive.st["u_dc"] = volts
+    drive.run(1)
+    assert not drive.state[-1]["gates_on"]
+    assert _codes(drive) == [code] and f"{volts:.0f} V" in drive.plant.faults()[0][2]
+
+
+def test_a_rectifier_begins_at_the_dc_voltage(bench):
+    drive = bench(dc_link_kind="rectifier", dc_voltage=420.0).run(1)
+    assert _codes(drive) == ["DC_OVERVOLTAGE"]
+
+
+@pytest.mark.parametrize(
+    ("code", "just_within", "just_beyond"),
+    [
+        ("OVERCURRENT", _current(18.0), _current(18.000001)),
+        ("OVERCURRENT", _current(-18.0), _current(-18.000001)),
+        ("DC_OVERVOLTAGE", _dc_voltage(1.318 * 311.0), _dc_voltage(1.318 * 311.0 + 1e-6)),
+        ("DC_UNDERVOLTAGE", _dc_voltage(0.643 * 311.0), _dc_voltage(0.643 * 311.0 - 1e-6)),
+    ],
+)
+def test_what_is_at_the_limit_does_not_trip(bench, code, just_within, just_beyond):
+    drive = bench().run(5)
+    just_within(drive)
+    drive.run(1)
+    assert _codes(drive) == []
+    just_beyond(drive)
+    drive.run(1)
+    assert _codes(drive) == [code]
+
+
+def test_both_components_count_for_the_current(bench):
+    for i_d, i_q, codes in [(-12.0, 13.0, []), (-13.0, -13.0, ["OVERCURRENT"])]:
+        drive = bench().run(1)
+        drive.st["i_d"], drive.st["i_q"] = i_d, i_q
+        drive.run(1)
+        assert _codes(drive) == codes
+    assert "18.4 A, limit 18.0 A" in drive.plant.faults()[0][2]
+
+
+def test_a_dc_link_that_is_still_charging_does_not_trip_before_the_first_command(bench):
+    drive = bench(dc_voltage=50.0).run(5, command=False)
+    assert _codes(drive) == []
+    drive.run(1)
+    assert _codes(drive) == ["DC_UNDERVOLTAGE"]
+    drive = bench(dc_voltage=50.0).run(1)
+    drive.plant.apply({"dc_voltage": 311.0})
+    drive.run(1)
+    assert drive.plant.clear_faults() == []
+    drive.plant.apply({"dc_voltage": 50.0})
+    drive.run(1, command=False)
+    assert _codes(drive) == ["DC_UNDERVOLTAGE"], "also in a period whose command is missing"
+
+
 @pytest.mark.parametrize("code", CAUSES)
 def test_without_the_reaction_the_gates_stay_on(bench, code):
     drive = bench(fault_react=False).run(5)

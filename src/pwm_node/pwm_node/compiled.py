@@ -81,9 +81,39 @@ def _compiled(function: Function, *, forceinline: bool) -> Function:
     digest = _digest(function)
     function.__kernel_digest__ = digest  # type: ignore[attr-defined]
     compiled: Any = numba.njit(function, error_model="numpy", nogil=True, forceinline=forceinline)
-    if compiled is not function:  # it is where numba is switched off
-        compiled._cache = _ToBeOpened(compiled, digest)
+    if compiled is function:  # numba is switched off
+        return _plain(function)
+    compiled._cache = _ToBeOpened(compiled, digest)
     return compiled  # type: ignore[no-any-return]
+
+
+def _plain(function: Function) -> Function:
+    """A kernel in Python, for those who want to step through it: NUMBA_DISABLE_JIT=1."""
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Any:
+        return function(*map(_with_attributes, arguments))
+
+    return call  # type: ignore[return-value]
+
+
+class _Record(np.record):
+    """A record with its fields as attributes, whatever their names."""
+
+    def __getattribute__(self, name: str) -> Any:
+        field = (np.void.dtype.__get__(self).fields or {}).get(name)
+        if field is None:
+            return super().__getattribute__(name)
+        return _with_attributes(self.getfield(*field[:2]))
+
+
+def _with_attributes(value: Any) -> Any:
+    """A record, or an array of such, with fields as attributes; anything else as it is."""
+    if isinstance(value, (np.ndarray, np.void)):
+        dtype = value.dtype
+        if dtype.names is not None and dtype.type is not _Record:
+            return value.view(np.dtype((_Record, dtype)))
+    return value
 
 
 class _ToBeOpened:
