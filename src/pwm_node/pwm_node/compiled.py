@@ -97,7 +97,7 @@ def _plain(function: Function) -> Function:
     return call  # type: ignore[return-value]
 
 
-class _Record(np.record):
+class _Record(np.record):  # type: ignore[misc]
     """A record with its fields as attributes, whatever their names."""
 
     def __getattribute__(self, name: str) -> Any:
