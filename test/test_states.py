@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 import rclpy
-from domains import own_domain
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
@@ -313,13 +312,12 @@ class Drive(RuleBasedStateMachine):
 
 
 @pytest.fixture
-def drives() -> Iterator[type[Drive]]:
+def drives(domain: int) -> Iterator[type[Drive]]:
     """The machine, with a context for its nodes."""
-    with own_domain():
-        Drive.context = rclpy.Context()
-        rclpy.init(args=[], context=Drive.context)
-        yield Drive
-        rclpy.try_shutdown(context=Drive.context)
+    Drive.context = rclpy.Context()
+    rclpy.init(args=[], context=Drive.context)
+    yield Drive
+    rclpy.try_shutdown(context=Drive.context)
 
 
 def test_the_gates_are_as_the_model_says(drives: type[Drive]) -> None:
