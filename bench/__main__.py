@@ -18,7 +18,10 @@ from rich.console import Console
 from rich.table import Table
 
 #: Groups, in the order of the table; each is a module with `measure(quick)`.
-GROUPS = ("loop", "processes", "recording", "live", "engine", "checks", "effects", "breakdown")
+GROUPS = (
+    *("loop", "processes", "paced", "recording", "live"),
+    *("engine", "checks", "effects", "breakdown"),
+)
 
 _WIDTH = 140  # of the table, also where the terminal is narrower or there is none
 

@@ -19,6 +19,7 @@ from rclpy.task import Future
 
 from mfpcc_controller.node import MfpccController
 from pmsm_sim.node import PmsmSim
+from pwm_node.lags import Lags
 from pwm_node.ros import spin
 from pwm_node.ros.node import PwmNode
 
@@ -105,6 +106,55 @@ def on_single_threaded_executor(nodes: Sequence[PwmNode]) -> None:
     executor.shutdown()
 
 
+COMPOSED, IN_TWO_PROCESSES = "composed", "two processes"
+
+
+class Paced(NamedTuple):
+    """What a run by the wall clock showed."""
+
+    in_time: float  # %, of all periods of the clock
+    missed: int  # periods without a command
+    left_out: int  # periods that went by while the plant had no core
+    faults: list[str]
+    start: Lags
+    round_trip: Lags
+
+
+def paced(kind: str, frequency: float, seconds: float, folder: Path) -> Paced:
+    """Run the drive by the wall clock, `COMPOSED` or `IN_TWO_PROCESSES`, for so many seconds."""
+    periods = round(frequency * seconds)
+    both = {"pwm_frequency": frequency}
+    with graph() as context, contextlib.ExitStack() as stack:
+        node = plant(context, periods, real_time_factor=1.0, **both)
+        nodes: list[PwmNode] = [node]
+        if kind == COMPOSED:
+            nodes.append(
+                MfpccController(
+                    context=context, parameter_overrides=_overrides({**CONTROLLER, **both})
+                )
+            )
+        else:
+            stack.enter_context(
+                running("mfpcc_controller", "controller", {**CONTROLLER, **both}, folder)
+            )
+        spin.run(nodes, until=Future())
+        lags = node.lags
+        assert lags is not None, "it never began"
+        left_out = node.left_out
+        # a run of so many periods lasts longer by those that were left out
+        found = Paced(
+            100.0 * (1.0 - (node.missed_periods + left_out) / (periods + left_out)),
+            node.missed_periods,
+            left_out,
+            [code for code, _, _ in node.latched],
+            lags["start"],
+            lags["round_trip"],
+        )
+        for each in nodes:
+            each.destroy_node()
+    return found
+
+
 class Separate(NamedTuple):
     """What a run in two processes showed."""
 
@@ -112,31 +162,39 @@ class Separate(NamedTuple):
     start_s: float  # from the start of the controller's process to its first command
 
 
-def separate(periods: int, folder: Path) -> Separate:
-    """Run the plant in this process and the controller in another."""
-    with graph() as context:
-        node = plant(context, periods)
+def separate(periods: int, folder: Path, *, recorded: bool = False) -> Separate:
+    """Run the plant in this process and the controller in another, with a recorder in a third."""
+    recorders = {"recorders": int(recorded)}
+    with graph() as context, contextlib.ExitStack() as stack:
+        node = plant(context, periods, **recorders)
         started = time.perf_counter()
-        with running("mfpcc_controller", "controller", CONTROLLER, folder):
-            spin.run([node], until=Future())
+        stack.enter_context(
+            running("mfpcc_controller", "controller", {**CONTROLLER, **recorders}, folder)
+        )
+        if recorded:
+            stack.enter_context(
+                running("mfpcc_experiments", "record", {}, folder, "--out", str(folder / "bag"))
+            )
+        spin.run([node], until=Future())
         node.destroy_node()
     return Separate(node.period_us(), node.begin - started)
 
 
 @contextlib.contextmanager
 def running(
-    package: str, executable: str, values: Mapping[str, Any], folder: Path
+    package: str, executable: str, values: Mapping[str, Any], folder: Path, *arguments: str
 ) -> Iterator[subprocess.Popen[bytes]]:
     """An executable of the workspace with these parameters, as `ros2 run` starts it."""
     file = folder / f"{executable}.yaml"
     file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(values)}}))
     program = Path(get_package_prefix(package), "lib", package, executable)
-    command = [str(program), "--ros-args", "--params-file", str(file)]
+    command = [str(program), *arguments, "--ros-args", "--params-file", str(file)]
     with subprocess.Popen(command, start_new_session=True) as process:
         try:
             yield process
         finally:
             process.terminate()
+            process.wait()
 
 
 def _overrides(values: Mapping[str, Any]) -> list[Parameter]:

@@ -44,6 +44,7 @@ def measure(*, quick: bool) -> list[Figure]:
             "periods/s",
             "bare ping-pong, wait set + take, serialized bytes",
             rates["raw"],
+            bar="ratio >= 1.3",
         ),
         figure(
             "controller: from its start to its first command, kernels compiled",

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import drives
-from figures import Figure, figure
+from figures import Figure, figure, interleaved
 
 from mfpcc_experiments.bags import recording
 from mfpcc_experiments.running import Scenario, run
@@ -43,6 +43,35 @@ def measure(*, quick: bool) -> list[Figure]:
         ),
         figure("drive in two processes, all messages recorded", separate.factor * 1e4, "periods/s"),
         figure("the same: periods lost", separate.lost, "periods", bar="value <= 0"),
+        *_third_process(3_000 if quick else 20_000, 2 if quick else 5),
+    ]
+
+
+def _third_process(periods: int, rounds: int) -> list[Figure]:
+    """What the executable `record` costs a drive in two processes, and what it misses of it."""
+    lost: list[float] = []
+
+    def recorded() -> float:
+        with tempfile.TemporaryDirectory(prefix="mfpcc_bench_") as folder:
+            run = drives.separate(periods, Path(folder), recorded=True)
+            bag = recording.read(Path(folder, "bag"))
+        lost.append(bag.lost_periods + periods - len(bag.feedback))
+        return 1e6 / run.period_us
+
+    def alone() -> float:
+        with tempfile.TemporaryDirectory(prefix="mfpcc_bench_") as folder:
+            return 1e6 / drives.separate(periods, Path(folder)).period_us
+
+    rates = interleaved(rounds, recorded=recorded, alone=alone)
+    return [
+        figure(
+            "drive in two processes, `record` as a third",
+            rates["recorded"],
+            "periods/s",
+            "the same without it",
+            rates["alone"],
+        ),
+        figure("the same: periods lost", max(lost), "periods", bar="value <= 0"),
     ]
 
 

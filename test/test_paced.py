@@ -210,3 +210,33 @@ def test_the_pace_can_be_changed_while_it_runs(start: Start, outside: Outside) -
             outside.look()  # what was on its way
         outside.until_beyond(outside.period + 100, f"it goes on at {factor}")
     assert not math.isnan(outside.diagnostic("pmsm_sim: loop", "missed periods"))
+
+
+SEPARATE = (("pmsm_sim", "pmsm_sim"), ("mfpcc_controller", "controller"))
+TOGETHER = (("mfpcc_experiments", "drive"),)
+
+
+@pytest.mark.parametrize("programs", [TOGETHER, SEPARATE])
+def test_a_paced_drive_waits_for_no_recorder(
+    start: Start, outside: Outside, tmp_path: Path, programs: tuple[tuple[str, str], ...]
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text(
+        "/**/pmsm_sim:\n  ros__parameters: {real_time_factor: 0.5, load_torque: 1.0, "
+        "inverter.command_loss_limit: 100000}\n"
+        "/**/mfpcc_controller:\n  ros__parameters: {fault.feedback_timeout: 0.0}\n"
+    )
+    nodes = [start(*each, "--ros-args", "--params-file", str(file)) for each in programs]
+    recorder = start("mfpcc_experiments", "record", "--out", str(tmp_path / "bag"))
+    recorder.wait_for("recording into")
+    outside.until_beyond(2000, "the drive runs, and is recorded")
+    recorder.signal(signal.SIGSTOP)
+    # more than publisher and subscriber keep, 5000 messages each
+    outside.until_beyond(outside.period + 15_000, "the drive goes on without its recorder")
+    recorder.signal(signal.SIGCONT)
+    outside.until_beyond(outside.period + 2000, "the recorder takes again")
+    assert recorder.end(signal.SIGINT) == 1
+    assert "phase_feedback: " in recorder.output and "messages are missing" in recorder.output
+    for node in nodes:
+        assert "takes no more messages" not in node.output
+        assert node.end(signal.SIGINT) == 0

@@ -27,6 +27,7 @@ from mfpcc_controller.parameters import TABLE
 from pwm_node import compiled
 from pwm_node.ros import spin
 from pwm_node.ros.diagnostics import Level, Part
+from pwm_node.ros.loop_topics import goes_by_itself
 from pwm_node.ros.node import PwmNode
 from pwm_node.ros.pace import Listeners, SteadyTimer
 from pwm_node.ros.status import StatusPublisher
@@ -220,6 +221,7 @@ class MfpccController(PwmNode):
 
     def _look_for_samples(self) -> None:
         """Disable the inverter if no new sample comes while it is enabled."""
+        self._follow_pace()
         limit = self.values["fault.feedback_timeout"]
         enabled = self.period >= 0 and self.active and self._command.fixed["enable"][0]
         due = enabled and limit > 0.0 and not self._inverter_at_rest
@@ -245,8 +247,13 @@ class MfpccController(PwmNode):
         if message.node != self.get_name():
             self._inverter_at_rest = message.state != "running"
 
+    def _follow_pace(self) -> None:
+        """Wait for nobody who listens if the plant does not wait for this controller either."""
+        self.wait_for_listeners(not goes_by_itself(self, self._feedback_in.topic))
+
     def _heard(self) -> bool:
         """Whether everybody is there who must not miss the first answer; else hold the sample."""
+        self._follow_pace()
         if self._listeners.there:
             self._listeners.stop()
             return True

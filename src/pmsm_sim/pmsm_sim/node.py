@@ -8,6 +8,7 @@ not there in time is a missed period, which the inverter's policy handles.
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -21,8 +22,9 @@ from pmsm_sim.parameters import TABLE
 from pmsm_sim.parts.injection import InjectionError
 from pmsm_sim.plant import OUT_OF_RANGE, WRONG_PERIOD, Plant, advance, latch
 from pwm_node import compiled
+from pwm_node.lags import Lags
 from pwm_node.ros import spin
-from pwm_node.ros.diagnostics import Level, Part
+from pwm_node.ros.diagnostics import Level, Part, lag_values
 from pwm_node.ros.node import PwmNode
 from pwm_node.ros.pace import Listeners, Pace, SteadyTimer
 from pwm_node.ros.status import StatusPublisher
@@ -59,6 +61,8 @@ class PmsmSim(PwmNode):
         self._pace = Pace(self, self._on_tick)
         self._rest = SteadyTimer(self, self._advance)
         self._told_tick: tuple[float, int] | None = None
+        self._round_trips = Lags()
+        self._began_at = 0  # ns: the latest period that the wall clock began
 
     # Life cycle -----------------------------------------------------------------------------
 
@@ -75,6 +79,7 @@ class PmsmSim(PwmNode):
         self.period = -1
         self._feedback_out = self.create_loop_publisher(PhaseFeedback, "phase_feedback")
         self._state_out = self.create_loop_publisher(DriveState, "drive_state")
+        self.wait_for_listeners(self.values["real_time_factor"] == 0.0)
         self._command_in = self.create_loop_subscription(
             DutyCommand, "duty_command", self._on_command, start=_START_CONTROLLER
         )
@@ -154,7 +159,10 @@ class PmsmSim(PwmNode):
                 throttle_duration_sec=1.0,
             )
         if self.values["real_time_factor"] > 0.0:
-            if not self._pace.running:
+            if self._pace.running:
+                if answer != OUT_OF_RANGE:
+                    self._round_trips.add(time.perf_counter_ns() - self._began_at)
+            else:
                 self._set_pace(self.values["real_time_factor"])
         else:
             self._advance()
@@ -234,9 +242,12 @@ class PmsmSim(PwmNode):
 
     def parameters_changed(self, changes: Mapping[str, Any]) -> None:
         """Follow a change of the pace."""
-        if "real_time_factor" not in changes or self.period < 0:
+        if "real_time_factor" not in changes:
             return
         factor = changes["real_time_factor"]
+        self.wait_for_listeners(factor == 0.0)
+        if self.period < 0:
+            return
         self._set_pace(factor or None)
         if not factor and bool(self.core.st["latched"][0]):
             self._advance()  # back in lock-step, and the command for the next period is there
@@ -246,10 +257,13 @@ class PmsmSim(PwmNode):
         self._told_tick = None
         if factor is not None:
             self._pace.start(1.0 / (self.values["pwm_frequency"] * factor))
+            self._round_trips = Lags()
+            self._began_at = time.perf_counter_ns()
             self._paced_from = self._ticked_at = self._pace.ticked_at, self.period
 
     def _on_tick(self) -> None:
         """Begin a period, whether or not its command is there."""
+        self._began_at = time.perf_counter_ns()
         self._advance()
         self._ticked_at = self._pace.ticked_at, self.period
         self.missed_periods = int(self.core.st["missed"][0])
@@ -263,6 +277,18 @@ class PmsmSim(PwmNode):
             "asked": self.values["real_time_factor"],
             "achieved": self._factor(self._paced_from, self._ticked_at),
         }
+
+    @property
+    def left_out(self) -> int:
+        """Periods of the wall clock that went by while this process had no core."""
+        return self._pace.left_out
+
+    @property
+    def lags(self) -> dict[str, Lags] | None:
+        """How late each period began, and when in it its command was there; None in lock-step."""
+        if not self._pace.running:
+            return None
+        return {"start": self._pace.lags, "round_trip": self._round_trips}
 
     def _factor(self, begin: tuple[float, int], end: tuple[float, int]) -> float:
         """Simulated time over the clock's, between two ticks: when, and which period."""
@@ -282,6 +308,9 @@ class PmsmSim(PwmNode):
             {
                 "real-time factor asked for": asked,
                 "real-time factor achieved": achieved,
+                "missed periods": self.missed_periods,
+                **lag_values("start late by", self._pace.lags),
+                **lag_values("round trip", self._round_trips),
             },
         )
 
@@ -329,7 +358,7 @@ class PmsmSim(PwmNode):
             {
                 "missed commands": int(st["missed"]),
                 "refused commands": int(st["refused"]),
-                "periods left out (wall clock)": self._pace.left_out,
+                "periods left out (wall clock)": self.left_out,
                 "speed (r/min)": float(st["w_M"]) / RPM,
                 "load torque (N m)": self.values["load_torque"],
             },

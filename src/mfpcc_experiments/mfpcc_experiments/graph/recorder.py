@@ -43,6 +43,7 @@ from mfpcc_experiments.graph.remote_node import RemoteNode
 from mfpcc_experiments.measuring import latched
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import interrupts, stamps
+from pwm_node.lags import from_text
 from pwm_node.ros import guard, ros_parameters, spin
 
 # Keep all and reliable: a recorder that cannot follow slows the loop down instead of losing.
@@ -62,6 +63,9 @@ _TABLES = {"pmsm_sim": PLANT, "mfpcc_controller": CONTROLLER}
 # The message by which a node tells that it goes on, and the period that it is working at then over
 # that of the message: the controller answers sample k with the command for k + 1.
 _DRIVE_NODES = {"pmsm_sim": ("phase_feedback", 0), "mfpcc_controller": ("duty_command", -1)}
+
+# Histograms of a paced run, and as what the plant tells of them.
+_LAGS = {"start": "start late by", "round_trip": "round trip"}
 
 # So many messages may be taken before an event of the same time is: those of a recorder that has
 # fallen behind as far as the middleware lets it.
@@ -95,6 +99,8 @@ class Recorder(Node):
         The drive's nodes, by name.
     latched : list of dict
         Faults that they told, as they are stored with a recording.
+    lags : dict
+        Histograms of how late periods were, as the plant of a paced drive told them last.
     error : BagError or None
         Why the recording cannot go on; the run of this process ends then.
     finished : Future
@@ -114,6 +120,7 @@ class Recorder(Node):
         self.gaps = dict.fromkeys(LOOP_TOPICS, 0)
         self.drive = {name: RemoteNode() for name in _DRIVE_NODES}
         self.latched: list[dict[str, Any]] = []
+        self.lags: dict[str, Any] = {}
         self.error: BagError | None = None
         self.finished = Future()
         self._steps: dict[str, int] = {}
@@ -138,6 +145,10 @@ class Recorder(Node):
         on_status = guard.callback(self._on_status, "drive_status: message dropped", logger)
         self._statuses: list[bytes] = []  # those that a black box shall have when it opens
         self.create_subscription(DriveStatus, "drive_status", on_status, _EVERY_STATUS, raw=True)
+        on_diagnostics = guard.callback(
+            self._on_diagnostics, "/diagnostics: message dropped", logger
+        )
+        self.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
         self.create_timer(_TAKE_EVERY, self.take_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if black_box is not None:
             self._ask_the_drive()
@@ -284,8 +295,6 @@ class Recorder(Node):
                 self.destroy_timer(timer)
 
         timer = self.create_timer(_ASK_EVERY, ask, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        take = guard.callback(self._on_diagnostics, "/diagnostics: message dropped", logger)
-        self.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
 
     def _on_values(self, node: str, names: Sequence[str], future: Any) -> None:
         self.drive[node].values = {
@@ -295,6 +304,12 @@ class Recorder(Node):
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for part in message.status:
+            if part.name == f"{self.get_namespace()}/pmsm_sim: pace".lstrip("/"):
+                figures = {item.key: item.value for item in part.values}
+                self.lags = {
+                    name: from_text(figures[f"{told} histogram (ns:periods)"])
+                    for name, told in _LAGS.items()
+                }
             for name, node in self.drive.items():
                 if part.name == f"{self.get_namespace()}/{name}: loop".lstrip("/"):
                     figures = {item.key: item.value for item in part.values}
@@ -367,7 +382,11 @@ def main() -> int:
         try:
             if writer is not None:
                 writer.close(
-                    {"gaps": recorder.gaps, "parameter_changes": recorder.parameter_changes}
+                    {
+                        "gaps": recorder.gaps,
+                        "parameter_changes": recorder.parameter_changes,
+                        "lags": recorder.lags,
+                    }
                 )
         except BagError as error:
             print(f"error: {error}", file=sys.stderr)

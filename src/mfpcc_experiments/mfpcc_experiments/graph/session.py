@@ -154,6 +154,7 @@ def outcome(plant: PmsmSim, nodes: Sequence[PwmNode], wall: float) -> dict[str, 
         ],
         "faults": [fault for node in nodes for fault in latched(node.get_name(), node.latched)],
         "real_time_factor": plant.pace,
+        "lags": {name: lags.to_json() for name, lags in (plant.lags or {}).items()},
         "wall_s": wall,
     }
 

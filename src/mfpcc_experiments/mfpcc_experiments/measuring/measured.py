@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mfpcc_experiments.measuring.happened import scheme_title
 from mfpcc_experiments.measuring.signals import Signal
 from mfpcc_experiments.measuring.window import Window
@@ -31,6 +34,9 @@ class Measured:
         Quantities over the whole recording, by name (see `signals.QUANTITIES`).
     config : dict
         Configuration of the run.
+    lags : dict of array
+        Of a paced run, how late its periods began (`start`) and when in them the command was there
+        (`round_trip`): rows of a duration (ns) and how many periods had it (see `pwm_node.lags`).
     """
 
     path: Path
@@ -39,6 +45,7 @@ class Measured:
     window: Window
     signals: dict[str, Signal]
     config: dict[str, Any] = field(default_factory=dict)
+    lags: dict[str, NDArray[np.int64]] = field(default_factory=dict)
 
 
 def labels(rows: Sequence[dict[str, Any]], paths: Sequence[Path]) -> list[str]:

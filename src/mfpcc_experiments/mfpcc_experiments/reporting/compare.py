@@ -11,6 +11,7 @@ from mfpcc_experiments.bags import BagError, recording
 from mfpcc_experiments.files import write_rows, write_whole
 from mfpcc_experiments.measuring import Measured, cut, evaluate, labels, shown
 from mfpcc_experiments.measuring.signals import signals
+from pwm_node.lags import bins_of
 
 Progress = Callable[[float], None]
 
@@ -175,4 +176,12 @@ def _measure_one(
         "window": cut(found, window_s),
         "signals": signals(found),
         "config": found.config,
+        "lags": _lags(found.summary.get("lags")),
     }
+
+
+def _lags(stored: object) -> dict[str, Any]:
+    """The histograms that a recording holds of a paced run."""
+    given = stored if isinstance(stored, dict) else {}
+    found = {name: bins_of(given.get(name)) for name in ("start", "round_trip")}
+    return {name: bins for name, bins in found.items() if bins is not None}

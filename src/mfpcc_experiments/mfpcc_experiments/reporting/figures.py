@@ -28,6 +28,7 @@ from mfpcc_experiments.reporting.style import (
     REFERENCE,
     STYLE,
 )
+from pwm_node.lags import end_of, percentiles
 
 #: Electrical periods shown of the phase currents: in a steady state, and around a transient.
 STEADY_PERIODS, TRANSIENT_PERIODS = 2.0, 5.0
@@ -59,6 +60,7 @@ def draw(runs: Sequence[Measured], folder: Path) -> dict[str, Path]:
         "lut_error": lut_error,
         "spectrum": spectrum,
         "speed_torque": speed_torque,
+        "lags": lags,
     }
     with mpl.rc_context(STYLE):
         for name, painter in painters.items():
@@ -385,6 +387,44 @@ def speed_torque(runs: Sequence[Measured]) -> Figure | None:
             _at_least(axes[row], 10.0 if name == "speed" else 0.5)
     figure.legend(
         list(entries.values()), list(entries), loc="outside upper right", ncols=4, columnspacing=1.2
+    )
+    return figure
+
+
+def lags(runs: Sequence[Measured]) -> Figure | None:
+    """Of paced runs: how many periods began later than that, or had their command later."""
+    if not any(run.lags for run in runs):
+        return None
+    figure, ((*axes,),) = panels(_titles(runs), ["Periods later than that (%)"], 1.85, "Time (us)")
+    entries: dict[str, Any] = {}
+    for axis, run in zip(axes, runs, strict=True):
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        texts = []
+        for colour, (name, text) in zip(
+            COLOURS,
+            {"start": "start after its time", "round_trip": "command after the start"}.items(),
+            strict=False,
+        ):
+            bins = run.lags.get(name)
+            if bins is None:
+                continue
+            ends = np.array([end_of(int(first)) for first in bins[:, 0]]) * 1e-3
+            later = 100.0 * (1.0 - np.cumsum(bins[:, 1]) / bins[:, 1].sum())
+            # a step at each end; the last one falls to nothing, which a logarithm has not
+            shown = 100.0 / bins[:, 1].sum()
+            times, shares = np.r_[ends[0], ends], np.r_[100.0, np.maximum(later, 0.5 * shown)]
+            (line,) = axis.plot(times, shares, color=colour, lw=0.9, drawstyle="steps-post")
+            entries.setdefault(text, line)
+            texts.append("  ".join(f"{us:.0f}" for us in (*percentiles(bins), ends[-1])))
+        if not texts:
+            note(axis, "not by the wall clock")
+            continue
+        axis.set_ylim(top=1e4)  # free for the numbers
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}" if y <= 100.0 else ""))
+        note(axis, "\n".join(["50 %, 99 %, 99.9 %, max (us)", *texts]))
+    figure.legend(
+        list(entries.values()), list(entries), loc="outside upper right", ncols=2, columnspacing=1.2
     )
     return figure
 

@@ -29,6 +29,8 @@ _CAPTIONS = {
     "lines but the fundamental, to half the sampling rate.",
     "speed_torque": "Speed and electromagnetic torque over the whole run; the evaluation window is "
     "shaded.",
+    "lags": "A run by the wall clock: how late its periods began, and when in them the command of "
+    "the next one was there, of all periods. Percentiles and the longest in us.",
 }
 
 

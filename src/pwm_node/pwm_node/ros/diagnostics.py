@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pwm_node.lags import PERCENTILES, Lags
+
 
 class Level(enum.IntEnum):
     """Levels of diagnostic_msgs/DiagnosticStatus."""
@@ -38,6 +40,16 @@ class Part:
     message: str
     level: Level = Level.OK
     values: Mapping[str, object] = field(default_factory=dict)
+
+
+def lag_values(name: str, lags: Lags) -> dict[str, object]:
+    """Return what a part tells of a histogram: percentiles (us), the longest, and all bins."""
+    told = {f"{name} {p:g} % (us)": v for p, v in zip(PERCENTILES, lags.percentiles(), strict=True)}
+    return {
+        **told,
+        f"{name} maximum (us)": lags.longest * 1e-3,
+        f"{name} histogram (ns:periods)": lags.to_text(),
+    }
 
 
 class StepTimes:

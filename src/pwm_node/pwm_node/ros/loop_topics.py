@@ -1,7 +1,8 @@
 """Publishers and subscriptions of the messages that travel every period.
 
-They carry serialized messages (see `pwm_node.wire`), reliably. Publishers keep all that somebody
-has not got yet, so that a recorder loses nothing: one that is slow slows the loop down instead.
+They carry serialized messages (see `pwm_node.wire`), reliably. In lock-step, publishers keep all
+that somebody has not got yet, so that a recorder loses nothing: one that is slow slows the loop
+down instead. By the wall clock there is no waiting: who is slow loses messages.
 
 A subscriber may take nothing any more, for ever. In Fast DDS 2.14, a reliable one that keeps the
 last few messages loses memory with each message that comes late, after a newer one, and there are
@@ -24,11 +25,20 @@ from rclpy.duration import Duration
 from rclpy.event_handler import QoSPublisherEventType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.publisher import Publisher
+from rclpy.qos import HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 PUBLISH = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
-# Half a second at 10 kHz: what somebody who is slow may lag behind who is not waited for.
-_PUBLISH_UNWAITING = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+# By the wall clock, nobody is waited for: who is slow may lag behind by half a second at 10 kHz.
+# The promise of a sign of life tells others that this one goes on by itself. Of what can be seen of
+# an endpoint's QoS from outside, it is what costs nothing with each message.
+PUBLISH_PACED = QoSProfile(
+    depth=5000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    liveliness=LivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=20.0),
+)
+_NO_LEASE = 1 << 62  # ns: beyond it, there is none
 SUBSCRIBE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 # The executor is served at this interval (s) while the loop runs. Messages that follow each other
@@ -73,9 +83,38 @@ class LoopPublisher:
         self._profile = PUBLISH
         self._create()
 
+    @property
+    def waits(self) -> bool:
+        """Whether it waits for subscribers that are slow; when that changes, `settle` sees to it.
+
+        The publisher of the other kind takes over when all know of it, so that nothing is lost.
+        """
+        return self._profile is PUBLISH
+
+    @waits.setter
+    def waits(self, wait: bool) -> None:
+        if wait == self.waits:
+            return
+        self._profile = PUBLISH if wait else PUBLISH_PACED
+        if self._successor is not None:
+            self._node.destroy_publisher(self._successor)
+            self._successor = None
+        elif self._sent_at_match is None:
+            self.destroy()
+            self._create()
+        else:
+            self._successor = self._new_publisher()
+
+    def _new_publisher(self) -> Publisher:
+        return self._node.create_publisher(self._msg_class, self._name, self._profile)
+
     def _create(self) -> None:
+        self._use(self._new_publisher())
+
+    def _use(self, publisher: Publisher) -> None:
         self._total = 0
-        self._publisher = self._node.create_publisher(self._msg_class, self._name, self._profile)
+        self._successor: Publisher | None = None
+        self._publisher = publisher
         # Looked at now and then, and no business of the executor. That one must not have an event
         # of a publisher that goes: it raises InvalidHandle, or the process crashes, since rclpy
         # 7.1.6 then gives up the last hold on a Python object without the interpreter's lock.
@@ -131,6 +170,15 @@ class LoopPublisher:
         next 5000. In another process it gets on well. So for a newcomer in this process a
         publisher that was used begins anew, with an empty history.
         """
+        if self._successor is not None:
+            if self._successor.get_subscription_count() < self.listeners:
+                return
+            successor, self._successor = self._successor, None
+            self.destroy()
+            self._use(successor)
+            # whoever listens now knew of both
+            self._total = self._matched.take_event().total_count
+            return
         total = self._matched.take_event().total_count
         if total > self._total:
             self._total = total
@@ -156,6 +204,9 @@ class LoopPublisher:
 
     def destroy(self) -> None:
         """Remove the publisher from its node."""
+        if self._successor is not None:
+            self._node.destroy_publisher(self._successor)
+            self._successor = None
         self._matched.destroy_when_not_in_use()
         self._node.destroy_publisher(self._publisher)
 
@@ -191,7 +242,7 @@ class LoopPublisher:
             waited = time.monotonic() - began
             if waited > _PATIENCE:
                 self.destroy()
-                self._profile = _PUBLISH_UNWAITING
+                self._profile = PUBLISH_PACED
                 self._create()
                 self._publish_raw(data)
                 self._node.get_logger().error(
@@ -276,6 +327,15 @@ class LoopSubscription:
         self.callback = self.subscription.callback = _drop
         self._node.destroy_subscription(self.subscription)
         _REMOVED.append(self.subscription)
+
+
+def goes_by_itself(node: Node, topic: str) -> bool:
+    """Whether somebody publishes a topic who waits for nobody: one that is paced, or unreliable."""
+    return any(
+        info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        or 0 < info.qos_profile.liveliness_lease_duration.nanoseconds < _NO_LEASE
+        for info in node.get_publishers_info_by_topic(topic)
+    )
 
 
 def _drop(data: bytes) -> None:

@@ -180,6 +180,11 @@ class PwmNode(TableNode):
             self.awaited = subscription
         return subscription
 
+    def wait_for_listeners(self, wait: bool) -> None:
+        """Wait for subscribers that are slow, as in lock-step, or go on without them (paced)."""
+        for publisher in self.loop_publishers:
+            publisher.waits = wait
+
     @property
     def subscriptions(self) -> Iterator[Any]:
         """The subscriptions an executor shall serve: not those that are taken directly."""

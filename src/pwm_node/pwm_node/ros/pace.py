@@ -11,6 +11,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.timer import Timer
 
+from pwm_node.lags import Lags
 from pwm_node.ros.loop_topics import LoopPublisher
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ class Pace(SteadyTimer):
     ----------
     left_out : int
         Periods left out since the start of the node.
+    lags : Lags
+        How late each tick came, since the pace was set.
     ticked_at : float
         Time of the latest tick, or of the start (s, steady clock).
     due : float
@@ -83,6 +86,7 @@ class Pace(SteadyTimer):
         super().__init__(node, self.on_tick)
         self._tick = tick
         self.left_out = 0
+        self.lags = Lags()
         self.ticked_at = 0.0
         self.due = math.inf
         self._seconds = self._next = 0.0
@@ -96,6 +100,7 @@ class Pace(SteadyTimer):
     def start(self, seconds: float) -> None:
         """Tick every so many seconds from now on."""
         self.stop()
+        self.lags = Lags()
         self.ticked_at = time.monotonic()
         self._seconds = seconds
         self._next = self.ticked_at + seconds
@@ -113,6 +118,7 @@ class Pace(SteadyTimer):
         """Begin a period; the timer calls this."""
         self.ticked_at = time.monotonic()
         late = self.ticked_at - self._next
+        self.lags.add(int(late * 1e9))
         self._next += self._seconds
         if late > self._seconds:
             lost = int(late / self._seconds)

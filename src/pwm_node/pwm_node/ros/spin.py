@@ -26,6 +26,7 @@ from rclpy.task import Future
 from rclpy.utilities import get_default_context
 
 from pwm_node import interrupts
+from pwm_node.garbage import NoGarbageCollector
 from pwm_node.ros import ros_environment
 from pwm_node.ros.guard import describe
 from pwm_node.ros.look import Look
@@ -166,12 +167,14 @@ def _start(nodes: Sequence[Node], stop: _Stop) -> bool:
 def _spin(executor: Any, until: Future, stop: _Stop) -> None:
     """Serve the executor's nodes, which may come and go, until the end."""
     look = Look()
-    while not (stop.requested or until.done()):
-        rest = look.on(_direct_subscriptions(executor), _paces(executor))
-        if rest > 0.0:
-            _serve_one(executor, rest)
-        else:
-            _serve_what_is_due(executor)
+    with NoGarbageCollector() as garbage:
+        while not (stop.requested or until.done()):
+            rest = look.on(_direct_subscriptions(executor), _paces(executor))
+            if rest > 0.0:
+                _serve_one(executor, rest)
+            else:
+                _serve_what_is_due(executor)
+            garbage.look()
 
 
 def _serve_one(executor: Any, seconds: float) -> None:
