@@ -140,7 +140,7 @@ def paced(kind: str, frequency: float, seconds: float, folder: Path) -> Paced:
         spin.run(nodes, until=Future())
         lags = node.lags
         assert lags is not None, "it never began"
-        left_out = node.left_out
+        left_out = node.periods_left_out
         # a run of so many periods lasts longer by those that were left out
         found = Paced(
             100.0 * (1.0 - (node.missed_periods + left_out) / (periods + left_out)),

@@ -1,4 +1,4 @@
-"""The drive by the wall clock: how late periods begin and are answered, beside the machine's own."""
+"""The drive by the wall clock: how late periods begin and are answered, beside the floor."""
 
 from __future__ import annotations
 

@@ -42,6 +42,7 @@ from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments import verbs
 from mfpcc_experiments.graph.replayer import TABLE as REPLAYER
 from pmsm_sim.parameters import TABLE as PLANT
+from pwm_node.ros.node import EVERY_NODE
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
@@ -315,7 +316,7 @@ def test_what_is_named_is_there(name: str) -> None:
     reference = (ROOT / "docs/reference.md").read_text()
     there = {
         "parameter": {
-            "autostart",
+            *(parameter.name for parameter in EVERY_NODE),
             "black_box",
             *(parameter for table in TABLES for parameter in table),
         },

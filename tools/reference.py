@@ -45,7 +45,7 @@ from pmsm_sim.parts import protection as plant_protection
 from pmsm_sim.parts.injection import MAGNITUDES, UNITS
 from pwm_node import yaml_files
 from pwm_node.parameters import Parameter, Table
-from pwm_node.ros.node import AUTOSTART
+from pwm_node.ros.node import EVERY_NODE
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -307,7 +307,7 @@ def of_parameters(box: ParameterDescriptor) -> Iterator[str]:
     ):
         yield f"### Parameters of {node}"
         yield ""
-        yield from parameter_table(parameters.extended(AUTOSTART))
+        yield from parameter_table(parameters.extended(*EVERY_NODE))
     yield "### Parameters of /black_box"
     yield ""
     yield from table(

@@ -279,7 +279,7 @@ class PmsmSim(PwmNode):
         }
 
     @property
-    def left_out(self) -> int:
+    def periods_left_out(self) -> int:
         """Periods of the wall clock that went by while this process had no core."""
         return self._pace.left_out
 
@@ -358,7 +358,7 @@ class PmsmSim(PwmNode):
             {
                 "missed commands": int(st["missed"]),
                 "refused commands": int(st["refused"]),
-                "periods left out (wall clock)": self.left_out,
+                "periods left out (wall clock)": self.periods_left_out,
                 "speed (r/min)": float(st["w_M"]) / RPM,
                 "load torque (N m)": self.values["load_torque"],
             },

@@ -5,7 +5,7 @@ import weakref
 
 import pytest
 
-from pwm_node.garbage import NoGarbageCollector
+from pwm_node.process.garbage import NoGarbageCollector
 
 
 class Circle:

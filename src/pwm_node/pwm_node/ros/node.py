@@ -20,6 +20,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.task import Future
 
 from pwm_node.parameters import Parameter, Table
+from pwm_node.process import real_time, shared_memory
 from pwm_node.ros import guard, only_one
 from pwm_node.ros.diagnostics import Level, Part, StepTimes
 from pwm_node.ros.loop_topics import LoopPublisher, LoopSubscription
@@ -34,6 +35,9 @@ AUTOSTART = Parameter(
     "Whether the node configures and activates itself when it starts",
     read_only=True,
 )
+
+#: What every node has besides its own parameters.
+EVERY_NODE = (AUTOSTART, *real_time.PARAMETERS)
 
 _WATCH_PERIOD = 0.05  # s
 _STALL_STEP = 0.5  # s
@@ -110,9 +114,9 @@ class PwmNode(TableNode):
             self._claim = only_one.claim(
                 self.get_fully_qualified_name(), self.context.get_domain_id()
             )
-            self.declare(
-                table if AUTOSTART.name in table else table.extended(AUTOSTART), also_known
-            )
+            own = [each for each in EVERY_NODE if each.name not in table]
+            self.declare(table.extended(*own), also_known)
+            real_time.apply(self.values)
         except ValueError:
             self.destroy_node()
             raise
@@ -324,6 +328,12 @@ class PwmNode(TableNode):
         if self.count_publishers(awaited.topic):
             # One that was killed counts as there for 20 s.
             why = f"who publishes it is silent; if it has died, start it with '{awaited.start}'"
+            others = shared_memory.strangers()
+            if others:
+                why += (
+                    f"; if it is one of user {', '.join(others)}, who has nodes here: those of "
+                    "different users cannot read each other's shared memory, so start both as one"
+                )
         else:
             why = f"nobody publishes it; start it with '{awaited.start}'"
         return f"{awaited.topic}: nothing came for {seconds:.0f} s, waiting: {why}"

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pwm_node.errors import ForPeople
+from pwm_node.process import shared_memory
 
 if TYPE_CHECKING:
     from rclpy.context import Context
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 _LAST_DOMAIN = 232  # beyond it there are no ports
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 _MIDDLEWARES = "rmw_typesupport"  # their kind in the index of packages
-_SHARED_MEMORY = Path("/dev/shm")
+_SHARED_MEMORY = shared_memory.FOLDER
 _NEEDED = 4 << 20  # bytes; Fast DDS takes half a MiB for a process, and crashes where there is none
 
 _FORMS = {
@@ -133,6 +134,7 @@ def init(args: Sequence[str] | None, context: Context) -> None:
     RosError
         If it does not start.
     """
+    shared_memory.clean()
     check()
     import rclpy
     from rclpy.impl.implementation_singleton import rclpy_implementation

@@ -26,7 +26,7 @@ from rclpy.task import Future
 from rclpy.utilities import get_default_context
 
 from pwm_node import interrupts
-from pwm_node.garbage import NoGarbageCollector
+from pwm_node.process.garbage import NoGarbageCollector
 from pwm_node.ros import ros_environment
 from pwm_node.ros.guard import describe
 from pwm_node.ros.look import Look
