@@ -249,7 +249,7 @@ class MfpccController(PwmNode):
 
     def _follow_pace(self) -> None:
         """Wait for nobody who listens if the plant does not wait for this controller either."""
-        self.wait_for_listeners(not goes_by_itself(self, self._feedback_in.topic))
+        self.paced = goes_by_itself(self, self._feedback_in.topic)
 
     def _heard(self) -> bool:
         """Whether everybody is there who must not miss the first answer; else hold the sample."""

@@ -32,6 +32,9 @@ from pwm_node.ros.stops import Stops
 from pwm_node.units import RPM
 from pwm_node.wire import Wire, WireError
 
+# The wall clock begins after so many periods in lock-step. Both sides then look for their messages,
+# which they do not before some have come.
+_AT_EASE = 100
 _AT_ONCE = 1000  # periods without an answer
 # A sample is taken within this time (s), or a few more have come: a queue of ten takes them.
 _TAKEN_WITHIN = 5e-4
@@ -79,7 +82,7 @@ class PmsmSim(PwmNode):
         self.period = -1
         self._feedback_out = self.create_loop_publisher(PhaseFeedback, "phase_feedback")
         self._state_out = self.create_loop_publisher(DriveState, "drive_state")
-        self.wait_for_listeners(self.values["real_time_factor"] == 0.0)
+        self.paced = self.values["real_time_factor"] > 0.0
         self._command_in = self.create_loop_subscription(
             DutyCommand, "duty_command", self._on_command, start=_START_CONTROLLER
         )
@@ -162,6 +165,8 @@ class PmsmSim(PwmNode):
             if self._pace.running:
                 if answer != OUT_OF_RANGE:
                     self._round_trips.add(time.perf_counter_ns() - self._began_at)
+            elif self.period < _AT_EASE:
+                self._advance()
             else:
                 self._set_pace(self.values["real_time_factor"])
         else:
@@ -245,7 +250,7 @@ class PmsmSim(PwmNode):
         if "real_time_factor" not in changes:
             return
         factor = changes["real_time_factor"]
-        self.wait_for_listeners(factor == 0.0)
+        self.paced = factor > 0.0
         if self.period < 0:
             return
         self._set_pace(factor or None)

@@ -119,7 +119,7 @@ class Replayer(PwmNode):
         self._state_out = (
             self.create_loop_publisher(DriveState, "drive_state") if len(self._bag.state) else None
         )
-        self.wait_for_listeners(self.values["rate"] == 0.0)
+        self.paced = self.values["rate"] > 0.0
         others = () if self._state_out is None else (self._state_out,)
         self._listeners = Listeners(self, self._feedback_out, *others)
         self._command_in = self.create_loop_subscription(
@@ -229,7 +229,7 @@ class Replayer(PwmNode):
         """Follow a change of the pace."""
         if "rate" not in changes:
             return
-        self.wait_for_listeners(changes["rate"] == 0.0)
+        self.paced = changes["rate"] > 0.0
         if not self._pace.running:
             return  # the next answer sees to it
         self._set_pace(changes["rate"])

@@ -20,6 +20,9 @@ from pwm_node.ros.loop_topics import SERVE_EVERY, LoopSubscription
 from pwm_node.ros.pace import Pace
 
 _IDLE = 0.2  # s
+# The executor takes longer than others wait for a message. So its turn begins right after one was
+# handled and nothing else is there, if that comes within this time (s).
+_GRACE = 0.001
 # The middleware's threads give a core back within some 20 us. Beyond this (s) others have it; the
 # scheduler's tick takes up to a millisecond now and then, and is no sign of others.
 _AWAY = 0.0003
@@ -36,7 +39,13 @@ class Look:
         self._crowded_until = -math.inf
         self._sleep_for = _SLEEP_FOR
 
-    def on(self, subscriptions: Sequence[LoopSubscription], paces: Sequence[Pace]) -> float:
+    def on(
+        self,
+        subscriptions: Sequence[LoopSubscription],
+        paces: Sequence[Pace],
+        *,
+        paced: bool = False,
+    ) -> float:
         """Handle the messages that come and the periods that are due, for a few milliseconds.
 
         Parameters
@@ -45,6 +54,9 @@ class Look:
             Those that the executor does not serve.
         paces : sequence of Pace
             What begins periods.
+        paced : bool
+            Whether periods follow the wall clock: to sleep would be to come too late for certain,
+            so that the core is asked for also where others want it.
 
         Returns
         -------
@@ -58,7 +70,10 @@ class Look:
         clock = time.monotonic
         now = clock()
         deadline = now + SERVE_EVERY
-        crowded = now < self._crowded_until
+        waiting = patient or any(pace.due < math.inf for pace in paces)
+        latest = deadline + (_GRACE if waiting else 0.0)
+        answered = False
+        crowded = now < self._crowded_until and not paced
         away = 0.0
         while True:
             idle = True
@@ -67,13 +82,13 @@ class Look:
                 if message is not None:
                     quiet.discard(each)
                     callback(message[0])
-                    idle = False
+                    idle, answered = False, True
             now = clock()
             for pace in paces:
                 if now >= pace.due:
                     pace.on_tick()
-                    idle = False
-            if now >= deadline:
+                    idle = answered = False
+            if now >= deadline and (now >= latest or (idle and answered)):
                 break
             if not idle:
                 continue
@@ -85,12 +100,13 @@ class Look:
             took = clock() - now
             if took > _AWAY:
                 away += took
-        if away > _AWAY_AT_MOST:
+        crowded = away > _AWAY_AT_MOST and not paced
+        if crowded:
             self._crowded_until = now + self._sleep_for
             self._sleep_for = min(2.0 * self._sleep_for, _SLEEP_AT_MOST)
         elif not away:
             self._sleep_for = _SLEEP_FOR
         for each in subscriptions:
-            if each in quiet or away > _AWAY_AT_MOST:
+            if each in quiet or crowded:
                 each.sleep(self._crowded_until)
         return 0.0

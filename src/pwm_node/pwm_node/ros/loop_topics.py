@@ -81,6 +81,7 @@ class LoopPublisher:
         self._settled_match = 0
         self._known: set[bytes] = set()
         self._profile = PUBLISH
+        self._successor: Publisher | None = None
         self._create()
 
     @property
@@ -113,7 +114,6 @@ class LoopPublisher:
 
     def _use(self, publisher: Publisher) -> None:
         self._total = 0
-        self._successor: Publisher | None = None
         self._publisher = publisher
         # Looked at now and then, and no business of the executor. That one must not have an event
         # of a publisher that goes: it raises InvalidHandle, or the process crashes, since rclpy

@@ -110,6 +110,7 @@ class PwmNode(TableNode):
         self.loop_publishers: list[LoopPublisher] = []
         self.loop_subscriptions: list[LoopSubscription] = []
         self.paces: list[Pace] = []
+        self._paced = False
         try:
             self._claim = only_one.claim(
                 self.get_fully_qualified_name(), self.context.get_domain_id()
@@ -184,10 +185,16 @@ class PwmNode(TableNode):
             self.awaited = subscription
         return subscription
 
-    def wait_for_listeners(self, wait: bool) -> None:
-        """Wait for subscribers that are slow, as in lock-step, or go on without them (paced)."""
+    @property
+    def paced(self) -> bool:
+        """Whether periods follow the wall clock: then nobody is waited for who only listens."""
+        return self._paced
+
+    @paced.setter
+    def paced(self, paced: bool) -> None:
+        self._paced = paced
         for publisher in self.loop_publishers:
-            publisher.waits = wait
+            publisher.waits = not paced
 
     @property
     def subscriptions(self) -> Iterator[Any]:

@@ -7,6 +7,7 @@ parameters, services and timers, is then served every few milliseconds.
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
@@ -169,7 +170,8 @@ def _spin(executor: Any, until: Future, stop: _Stop) -> None:
     look = Look()
     with NoGarbageCollector() as garbage:
         while not (stop.requested or until.done()):
-            rest = look.on(_direct_subscriptions(executor), _paces(executor))
+            subscriptions, paces = _direct_subscriptions(executor), _paces(executor)
+            rest = look.on(subscriptions, paces, paced=any(n.paced for n in _nodes(executor)))
             if rest > 0.0:
                 _serve_one(executor, rest)
             else:
@@ -206,14 +208,18 @@ def _paces(executor: Any) -> list[Pace]:
 def _direct_subscriptions(executor: Any) -> list[LoopSubscription]:
     """Return the loop's subscriptions that are taken from off the executor.
 
-    These are those whose publisher is here too, and those on which messages follow each other fast.
+    These are those whose publisher is here too, those on which messages follow each other fast, and
+    all of a node that looks for the time at which its next period begins.
     """
     nodes = _nodes(executor)
+    looking = [node for node in nodes if any(pace.due < math.inf for pace in node.paces)]
+    looked_for = {each for node in looking for each in node.loop_subscriptions}
     published = {publisher.topic for node in nodes for publisher in node.loop_publishers}
     subscriptions = [each for node in nodes for each in node.loop_subscriptions]
     changed = False
     for subscription in subscriptions:
         direct = subscription.lively or subscription.topic in published
+        direct |= subscription in looked_for
         changed |= subscription.direct != direct
         subscription.direct = direct
     if changed:
