@@ -177,9 +177,10 @@ def of_nodes(nodes: Sequence[Node]) -> Iterator[str]:
     yield ""
     yield (
         "Names are relative (`-r __ns:=/axis1` makes a second axis), but for `/clock` and "
-        "`/diagnostics`. The PWM rate is `pwm_frequency` of simulated time. A publisher of a loop "
-        "topic keeps all that a reliable subscriber has not got yet: who is slow slows the loop "
-        "down, and nothing is lost."
+        "`/diagnostics`. The PWM rate is `pwm_frequency` of simulated time. In lock-step a "
+        "publisher of a loop topic keeps all that a reliable subscriber has not got yet: who is "
+        "slow slows the loop down, and nothing is lost. By the wall clock nobody is waited for, "
+        "and who is slow loses messages."
     )
     yield ""
     publishers = by_topic(nodes, "publishers")
