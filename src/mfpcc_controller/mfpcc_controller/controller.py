@@ -269,6 +269,15 @@ class Controller:
         self._control: Callable[..., Any] = control
         self.apply(values)
 
+    def copy(self) -> Controller:
+        """Return one in the same state, of a compiled scheme."""
+        twin = Controller.__new__(Controller)
+        twin.motor, twin.values = self.motor, dict(self.values)
+        twin.cfg, twin.mem = self.cfg.copy(), self.mem.copy()
+        twin._latch = twin.mem["guard"]["latch"][0]
+        twin._plug_in, twin._control = None, control
+        return twin
+
     @property
     def scheme(self) -> str:
         """Name of the scheme in control: the chosen one, or the fallback in its place."""

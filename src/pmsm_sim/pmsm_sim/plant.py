@@ -212,6 +212,16 @@ class Plant:
             part.start(par, st, values, self.motor)
         self.apply({})
 
+    def copy(self, *, seed: int) -> Plant:
+        """Return one in the same state, whose noise has another seed."""
+        twin = Plant.__new__(Plant)
+        twin.motor, twin.oversampling = self.motor, self.oversampling
+        twin._values = {**self._values, "seed": seed}
+        twin.par, twin.st = self.par.copy(), self.st.copy()
+        twin.par["seed"] = seed
+        twin._latch = twin.st["latch"][0]
+        return twin
+
     def apply(self, changes: Mapping[str, Any]) -> None:
         """Take over changed parameters; they act from the next period on."""
         self._values.update(changes)

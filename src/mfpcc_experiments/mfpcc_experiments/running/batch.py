@@ -8,9 +8,9 @@ figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from mfpcc_msgs.msg import DriveState, DutyCommand, LutDiagnostics, PhaseFeedback
@@ -51,6 +51,8 @@ from pwm_node import schedule
 from pwm_node.compiled import direct, kernel
 from pwm_node.units import RPM
 from pwm_node.wire import Wire
+
+Part = TypeVar("Part", Plant, Controller)
 
 # What is remembered from one piece of a run to the next.
 _STATE = np.dtype(
@@ -145,13 +147,18 @@ class Drive:
     changes : tuple of (int, dict, dict)
         Period, and the parameters of plant and controller that change at its beginning, in the
         order of time.
+    plant_key, controller_key : tuple
+        Tell drives of one batch apart whose plant, or controller, begins differently (but for the
+        seed); empty: nothing is known.
     """
 
     plant: Mapping[str, Any]
     controller: Mapping[str, Any]
     plant_motor: MotorPars
     controller_motor: EstimatedPars
-    changes: tuple[tuple[int, Mapping[str, Any], Mapping[str, Any]], ...] = field(default=())
+    changes: tuple[tuple[int, Mapping[str, Any], Mapping[str, Any]], ...] = ()
+    plant_key: tuple[Any, ...] = ()
+    controller_key: tuple[Any, ...] = ()
 
 
 def drive_of(plant: Mapping[str, Any], controller: Mapping[str, Any]) -> Drive:
@@ -204,6 +211,25 @@ OUTCOME = np.dtype(
 FIGURES = (*KEYS, *BESIDES)
 
 
+class _Kept(Generic[Part]):
+    """What was set up before, to be copied for drives that begin alike."""
+
+    def __init__(self) -> None:
+        self._key: tuple[Any, ...] = ()
+        self._kept: Part | None = None
+
+    def get(
+        self, key: tuple[Any, ...], set_up: Callable[[], Part], copy: Callable[[Part], Part]
+    ) -> Part:
+        """Return one for this key; where nothing but it differs from run to run, none is kept."""
+        if not key or key != self._key:
+            self._key, self._kept = key, None
+            return set_up()
+        if self._kept is None:
+            self._kept = set_up()
+        return copy(self._kept)
+
+
 class Batch:
     """
     Room for runs of the same length and window, one after the other.
@@ -235,6 +261,7 @@ class Batch:
         kinds = (DutyCommand, PhaseFeedback, DriveState, LutDiagnostics)
         self._messages = [Wire(kind).fixed for kind in kinds]
         self._fresh = [message.copy() for message in self._messages]
+        self._plants, self._controllers = _Kept[Plant](), _Kept[Controller]()
         self._advance: Any = None
         self._measure: Any = None
 
@@ -255,8 +282,16 @@ class Batch:
 
     def one(self, drive: Drive, outcome: NDArray[np.void]) -> tuple[Plant, Controller]:
         """Run a drive; returns it as it is at the end. `outcome` has one row, of `OUTCOME`."""
-        plant = Plant(drive.plant, drive.plant_motor)
-        controller = Controller(drive.controller, drive.controller_motor)
+        plant = self._plants.get(
+            drive.plant_key,
+            lambda: Plant(drive.plant, drive.plant_motor),
+            lambda plant: plant.copy(seed=drive.plant["seed"]),
+        )
+        controller = self._controllers.get(
+            drive.controller_key,
+            lambda: Controller(drive.controller, drive.controller_motor),
+            lambda controller: controller.copy(),
+        )
         seen, row = self._begin(drive), outcome[0]
         arguments = [plant.par, plant.st, controller.cfg, controller.mem, *self._messages, seen]
         if self._advance is None:

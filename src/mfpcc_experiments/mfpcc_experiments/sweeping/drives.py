@@ -195,6 +195,9 @@ class Drives:
             for part, values in (("plant", plant), ("controller", controller))
             if self._depends(part, values)
         ]
+        self._of_the_motor = [name for name, where in places.items() if where.motor]
+        self._of_plant = [n for n, where in places.items() if where.plant and n != "seed"]
+        self._of_controller = [name for name, where in places.items() if where.controller]
         for change in self._drive.changes:
             if change[2].get("scheme", SCHEMES[0]) not in SCHEMES:
                 raise SweepError("a sweep runs compiled schemes only, no plug-ins")
@@ -244,7 +247,16 @@ class Drives:
             reason = scenarios.TABLES[part].rule(plant if part == "plant" else controller)
             if reason is not None:
                 raise SweepError(reason)
-        return Drive(plant, controller, of_plant, of_controller, changes)
+        begin = motor, *(values[name] for name in self._of_the_motor)
+        return Drive(
+            plant,
+            controller,
+            of_plant,
+            of_controller,
+            changes,
+            (*begin, *(values[name] for name in self._of_plant)),
+            (*begin, *(values[name] for name in self._of_controller)),
+        )
 
     def _rescheduled(self, changes: Any, scheduled: tuple[int, str], value: Any) -> Any:
         """The changes with another value of one entry of the schedule."""
