@@ -115,4 +115,7 @@ def _run(folder: Folder, scheduler: str | None, scheduler_file: Path | None) -> 
                 "goes on"
             )
             raise
-    click.echo(f"{folder.plan.rows:,} runs: {folder.path}")
+    # matplotlib takes its time to load
+    from mfpcc_experiments.sweeping import report
+
+    click.echo(f"report: {report.write(folder)}")
