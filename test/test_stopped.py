@@ -75,6 +75,7 @@ def test_in_lock_step_whoever_is_stopped_is_waited_for_and_nothing_is_lost(
     found = recording.read(bag)
     assert found.lost_periods == 0, found.notes
     assert found.feedback["period"][0] == 0
+    assert found.summary["faults"] == []
 
 
 def run_again(outside: Outside) -> None:

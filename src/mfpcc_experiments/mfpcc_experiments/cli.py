@@ -138,6 +138,8 @@ def _explanation(error: Exception) -> str | None:
     """What to tell the user of an error that is no mistake of ours, else None."""
     if isinstance(error, ForPeople):
         return str(error)
+    if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):
+        return f"{str(error)[0].lower()}{str(error)[1:]}"  # of `Path.resolve`, up to Python 3.12
     if isinstance(error, ModuleNotFoundError) and (error.name or "").split(".")[0] in _FROM_ROS:
         return f"there is no Python module '{error.name}' here: 'source setup.bash' first"
     if isinstance(error, OSError) and error.strerror:

@@ -149,6 +149,8 @@ def find(kind: str, name_or_path: str | Path) -> Path:
     text = str(name_or_path)
     if isinstance(name_or_path, Path) or "/" in text or text.endswith((".yaml", ".yml")):
         path = Path(name_or_path).expanduser()
+        if path.suffix not in (".yaml", ".yml"):
+            raise FileError(f"{path}: is no .yaml file")
         if not path.is_file():
             raise FileError(f"{path}: there is no such file")
         return path

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_experiments.bags import status
+from mfpcc_experiments.bags import status, stored
 from mfpcc_experiments.bags.bag_parts import Parts, parts_of
 from mfpcc_experiments.bags.columns import column, layout_of
 from mfpcc_experiments.bags.completeness import select
@@ -32,7 +32,7 @@ from mfpcc_experiments.bags.errors import BagError
 from mfpcc_experiments.bags.layouts import TAKEN_AS_ON, Layout
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD
 from mfpcc_experiments.bags.status import Status, StatusError
-from mfpcc_experiments.bags.topics import EVERY_PERIOD, LOOP_TOPICS
+from mfpcc_experiments.bags.topics import LOOP_TOPICS
 from mfpcc_experiments.notes import Note, info, warning
 from pwm_node import stamps
 
@@ -96,11 +96,6 @@ class Recording:
     def oversampling(self) -> int:
         """Points per period of the oversampled waveforms, 0 without them."""
         return 0 if self.i_abc_oversampled is None else self.i_abc_oversampled.shape[1]
-
-    @property
-    def decimation(self) -> dict[str, int]:
-        """Periods from one message to the next of each topic of which that is known."""
-        return dict.fromkeys(EVERY_PERIOD, 1) | _decimation(self.config, self.summary)
 
     @property
     def window_s(self) -> tuple[float, float] | None:
@@ -250,6 +245,9 @@ class _Collector:
             )
         self._check_there()
         self._check_counts()
+        self.config, notes = stored.configuration(self.config)
+        self.summary, more = stored.summary(self.summary)
+        self._notes += [*notes, *more]
         if not self.config:
             self._notes.append(self._unconfigured())
         decimation = _decimation(self.config, self.summary)
@@ -307,7 +305,7 @@ class _Collector:
     def _unconfigured(self) -> Note:
         text = "no configuration of a run is stored in it; without a window all of it is evaluated"
         if "experiment" in self._parts.custom_data:
-            run = self._parts.custom_data["experiment"]
+            run = stored.shown(self._parts.custom_data["experiment"])
             return warning(
                 f"{text}, though it was a run of {run}; a copy in another format lost it"
             )
@@ -349,10 +347,9 @@ def _decimation(config: Mapping[str, Any], summary: Mapping[str, Any]) -> dict[s
 def _complete(recording: Recording) -> None:
     """Fill in the period and the pole pairs: stored, or else told from the topics."""
     config, feedback = recording.config, recording.feedback
-    with suppress(KeyError, TypeError, ValueError):
-        recording.T_s = float(config["T_s"])
+    recording.T_s = float(config.get("T_s", 0.0))
     by_stamps = _period_of_stamps(feedback, recording.notes)
-    if not 0.0 < recording.T_s < 1.0:
+    if not recording.T_s:
         recording.T_s = by_stamps or 0.0
     elif (
         by_stamps is not None and abs(by_stamps - recording.T_s) > _PERIOD_TOLERANCE * recording.T_s
@@ -366,10 +363,7 @@ def _complete(recording: Recording) -> None:
         )
     if not 0.0 < recording.T_s < 1.0:
         raise BagError(f"{recording.path}: the PWM period cannot be told from the time stamps")
-    if not _is_window(config):
-        config.pop("window_s", None)
-    n_p = config.get("n_p")
-    recording.n_p = n_p if isinstance(n_p, int) and n_p > 0 else _pole_pairs(recording)
+    recording.n_p = config.get("n_p") or _pole_pairs(recording)
 
 
 def _period_of_stamps(feedback: NDArray[Any], notes: list[Note]) -> float | None:
@@ -392,15 +386,6 @@ def _period_of_stamps(feedback: NDArray[Any], notes: list[Note]) -> float | None
         )
     )
     return usual
-
-
-def _is_window(config: Mapping[str, Any]) -> bool:
-    window = config.get("window_s")
-    return (
-        isinstance(window, list)
-        and len(window) == 2
-        and all(isinstance(t, (int, float)) for t in window)
-    )
 
 
 def _pole_pairs(recording: Recording) -> int | None:

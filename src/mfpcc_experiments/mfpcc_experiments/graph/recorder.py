@@ -386,6 +386,7 @@ def main() -> int:
                         "gaps": recorder.gaps,
                         "parameter_changes": recorder.parameter_changes,
                         "lags": recorder.lags,
+                        "faults": recorder.latched,
                     }
                 )
         except BagError as error:

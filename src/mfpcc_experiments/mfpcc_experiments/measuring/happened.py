@@ -51,8 +51,8 @@ class History:
     ----------
     T_s : float
         PWM period (s).
-    last : int
-        Last recorded period.
+    first, last : int
+        First and last recorded period.
     reigns : tuple of Reign
         Who controlled; empty where nothing tells.
     offs : tuple of Off
@@ -64,6 +64,7 @@ class History:
     """
 
     T_s: float
+    first: int
     last: int
     reigns: tuple[Reign, ...]
     offs: tuple[Off, ...]
@@ -104,7 +105,22 @@ class History:
         ]
         if near:
             return str(near[0])
+        if before := self._before(off):
+            return f"{before[0]} (latched at {self._at(before[0].period)}, before the recording)"
         return "disabled by the controller" if off.commanded else "blocked by the inverter"
+
+    def _before(self, off: Off) -> list[Fault]:
+        """Faults latched before the recording began that keep its gates off from the first period.
+
+        Cleared ones are not among those that nodes tell of to who comes late.
+        """
+        if off.begin > self.first + 1:  # the command for the first period may not be recorded
+            return []
+        return [
+            fault
+            for fault in self.faults
+            if fault.period < self.first - _REACTION and fault.code not in _OF_SCHEMES
+        ]
 
     def notes(self, first: int, end: int) -> list[Note]:
         """
@@ -128,6 +144,7 @@ class History:
             text = f"gates off from {self._at(off.begin)}{until}: {self.cause(off)}"
             inside = off.begin < end and off.end > first
             by_fault = any(off.begin - _REACTION <= period <= off.begin for period in tripped)
+            by_fault |= bool(self._before(off))
             found.append(failure(text) if inside or by_fault else warning(text))
         return _few(found, "times more the gates were off")
 
@@ -135,7 +152,10 @@ class History:
         """Faults that neither switched the gates off nor let another scheme take over."""
         found = []
         for fault in self.faults:
-            if any(off.begin - _REACTION <= fault.period < off.end for off in self.offs):
+            if any(
+                off.begin - _REACTION <= fault.period < off.end or fault in self._before(off)
+                for off in self.offs
+            ):
                 continue
             when = self._at(fault.period)
             if fault.code not in _OF_SCHEMES:
@@ -187,6 +207,7 @@ def history(recording: Recording) -> History:
     changed, faults = changes(recording), _faults(recording)
     return History(
         T_s=recording.T_s,
+        first=int(recording.feedback["period"][0]),
         last=int(recording.feedback["period"][-1]),
         reigns=_reigns(recording, changed, faults),
         offs=_offs(recording),

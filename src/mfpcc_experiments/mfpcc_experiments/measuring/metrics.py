@@ -380,6 +380,7 @@ def _changes(config: Mapping[str, Any]) -> list[Note]:
     return [info(f"not as the experiment says: {listed}")]
 
 
+@np.errstate(all="ignore")  # a figure that is no number is not given
 def evaluate(recording: Recording, window_s: Sequence[float] | None = None) -> dict[str, Any]:
     """
     Measure one recording.

@@ -322,6 +322,7 @@ def _parameters(recording: Recording, changes: Mapping[str, Any]) -> dict[str, A
     return TABLE.complete({**stored, **changes})
 
 
+@np.errstate(all="ignore")  # recorded garbage equals nothing
 def _as_the_duties_say(recording: Recording) -> NDArray[np.void]:
     """
     The recorded commands, with vectors and dwell times that make their duties.

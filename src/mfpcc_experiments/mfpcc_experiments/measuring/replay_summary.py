@@ -101,7 +101,8 @@ def _gaps(samples: Samples, window_s: Sequence[float] | None) -> list[Note]:
         if begin <= first and end <= last:
             first, end = begin, last
     needed = (Need.FEEDBACK, Need.COMMAND)
-    return [note for need, note in missing(recording, first, end) if need in needed]
+    found = [note for need, note in missing(recording, first, end) if need in needed]
+    return list(dict.fromkeys(found))
 
 
 def recorded_scheme(samples: Samples, window_s: Sequence[float] | None = None) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mfpcc_experiments.bags import Recording
-from mfpcc_experiments.measuring.waveform import to_dq
+from mfpcc_experiments.measuring.waveform import plausible, to_dq
 from mfpcc_experiments.measuring.window import Window, phase_currents
 from pwm_node.units import RPM
 
@@ -169,7 +169,7 @@ def signals(recording: Recording) -> dict[str, Signal]:
 
 def _signal(period: NDArray[Any], values: NDArray[Any], T_s: float) -> Signal:
     """Values by period number as an equally spaced signal."""
-    period = period.astype(np.int64)
+    period, values = period.astype(np.int64), plausible(values)
     first, span = int(period[0]), int(period[-1] - period[0])
     step = 1
     if len(period) > 1:

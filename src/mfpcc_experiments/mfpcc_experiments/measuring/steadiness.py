@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfpcc_experiments.bags.topics import EVERY_PERIOD
 from mfpcc_experiments.measuring.waveform import (
     PARTS_AT_STANDSTILL,
     STANDSTILL,
     Array,
+    is_plausible,
     period_means,
     rms,
     turns,
@@ -188,7 +190,8 @@ class Fitness:
             self.lacks.add(Need.ONE_SCHEME)
         for need, note in missing(recording, first, end):
             self.lacks.add(need)
-            self.notes.append(note)
+            if note not in self.notes:
+                self.notes.append(note)
         if Need.FEEDBACK in self.lacks and not len(recording.state):
             self.lacks.add(Need.SPEED)
         self.steady = self._judge_steady(recording, w)
@@ -269,17 +272,63 @@ def missing(recording: Recording, first: int, end: int) -> list[tuple[Need, Note
     )
     found = []
     for topic, rows, begin, need in expected:
-        count = (
-            _missing(rows["period"], begin, end, recording.decimation.get(topic))
-            if len(rows)
-            else 0
-        )
+        usual = 1 if topic in EVERY_PERIOD else None
+        count = _missing(rows["period"], begin, end, usual) if len(rows) else 0
         if count:
             text = (
                 f"{count} of the {end - begin} periods of the window "
                 f"{'are' if count > 1 else 'is'} missing in {topic}: no figure that needs them"
             )
             found.append((need, failure(text)))
+    return found + _unusable(recording, first, end)
+
+
+# What figures are computed from, and what these need then.
+_USED = (
+    ("phase_feedback", ("i_a", "i_b", "i_c"), (Need.FEEDBACK,)),
+    ("duty_command", ("duty",), (Need.COMMAND,)),
+    ("lut_diagnostics", ("i_dq", "i_dq_ref"), (Need.DIAGNOSTICS, Need.FEEDBACK)),
+    ("lut_diagnostics", ("prediction_error",), (Need.DIAGNOSTICS,)),
+    ("drive_state", ("angle",), (Need.STATE, Need.FEEDBACK)),
+    ("drive_state", ("speed",), (Need.STATE, Need.SPEED)),
+    ("drive_state", ("torque", "temperature"), (Need.STATE,)),
+)
+_OF_ENCODER = ("phase_feedback", ("encoder_angle",), (Need.FEEDBACK, Need.SPEED))
+
+
+def _unusable(recording: Recording, first: int, end: int) -> list[tuple[Need, Note]]:
+    """Which messages hold values that are no measurement."""
+    rows = {
+        "phase_feedback": recording.feedback,
+        "duty_command": recording.command,
+        "lut_diagnostics": recording.lut,
+        "drive_state": recording.state,
+    }
+    inside = {
+        topic: slice(*np.searchsorted(all_["period"], np.array([first, end], dtype=np.uint64)))
+        for topic, all_ in rows.items()
+    }
+    values = [
+        (topic, name, needs, rows[topic][name][inside[topic]])
+        # the angle is the encoder's where the true one was not recorded with each sample
+        for topic, names, needs in (
+            *_USED,
+            *([_OF_ENCODER] if len(recording.state) < len(recording.feedback) else []),
+        )
+        for name in names
+    ]
+    if recording.i_abc_oversampled is not None:
+        waveform = recording.i_abc_oversampled[inside["drive_state"]]
+        values.append(("drive_state", "i_abc_oversampled", (Need.STATE, Need.FEEDBACK), waveform))
+    found = []
+    for topic, name, needs, recorded in values:
+        count = int(np.count_nonzero(~is_plausible(recorded)))
+        if count:
+            text = (
+                f"{name} of {topic} is no number that a drive can have in {count} of the "
+                f"{end - first} periods of the window: no figure that needs it"
+            )
+            found += [(need, failure(text)) for need in needs]
     return found
 
 

@@ -399,3 +399,31 @@ def switching_frequency(duty: Array, T_s: float, on: NDArray[np.bool_] | None = 
     level = duty >= 1.0
     between = np.count_nonzero((level[1:] != level[:-1])[on[1:] & on[:-1]])
     return (2 * inside + between) / (2.0 * 3.0 * len(duty) * T_s)
+
+
+# --- Values that are no measurement: not a number, infinite, or beyond anything a drive has ----
+# A broken sensor or link records them, and so does a drive into which such faults are injected.
+
+#: Of any quantity in SI units, as in a motor file.
+LARGEST = 1e9
+
+
+def is_plausible(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether each row of some values is plausible; rows of several columns in all of them."""
+    sound = np.abs(values) <= LARGEST  # NaN is not
+    return sound.all(axis=tuple(range(1, sound.ndim))) if sound.ndim > 1 else sound
+
+
+def plausible(values: NDArray[Any]) -> NDArray[Any]:
+    """Values with NaN in the place of those that are not plausible; a copy where there are any."""
+    sound = np.abs(values) <= LARGEST
+    return values if sound.all() else np.where(sound, values, np.nan)
+
+
+def plausible_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """A copy of some messages, with NaN in the place of numbers that are not plausible."""
+    copy = rows.copy()
+    for name in copy.dtype.names or ():
+        if copy.dtype[name].base.kind == "f":
+            copy[name] = plausible(copy[name])
+    return copy

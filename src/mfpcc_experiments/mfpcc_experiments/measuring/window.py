@@ -15,6 +15,8 @@ from mfpcc_experiments.measuring.waveform import (
     TWO_PI,
     Array,
     oversample_angle,
+    plausible,
+    plausible_rows,
     smooth_angle,
     to_dq,
     unwrap,
@@ -163,6 +165,20 @@ class Window:
         )
 
 
+def _angle(rows: NDArray[np.void]) -> Array:
+    """Unwrapped mechanical angle (rad); what is no number is filled in from its neighbours.
+
+    So the rest keeps its place. No figure is made of it (`steadiness.missing`).
+    """
+    angle = rows["encoder_angle" if "encoder_angle" in (rows.dtype.names or ()) else "angle"]
+    sound = np.flatnonzero(np.isfinite(angle))
+    if len(sound) == len(angle):
+        return unwrap(angle)
+    if not len(sound):
+        return np.zeros(len(angle))
+    return np.interp(np.arange(len(angle)), sound, unwrap(angle[sound]))
+
+
 def cut(recording: Recording, window_s: Sequence[float] | None = None) -> Window:
     """
     Take the evaluation window out of a recording.
@@ -208,27 +224,27 @@ def cut(recording: Recording, window_s: Sequence[float] | None = None) -> Window
             "be told from its topics"
         )
     rows = window_rows(recording.state["period"], window_s, T_s)
-    state = recording.state[rows].copy()
+    # Copies: views would keep whole recordings in memory for the sake of their windows.
+    feedback, state = plausible_rows(feedback), plausible_rows(recording.state[rows])
     if len(state) == len(feedback):
-        theta = n_p * unwrap(state["angle"])
+        theta = n_p * _angle(state)
     else:
-        theta = n_p * smooth_angle(unwrap(feedback["encoder_angle"]), round(_SMOOTHING / T_s))
+        theta = n_p * smooth_angle(_angle(feedback), round(_SMOOTHING / T_s))
     i_abc = phase_currents(feedback)
 
-    # Copies: views would keep whole recordings in memory for the sake of their windows.
-    lut = recording.lut[window_rows(recording.lut["period"], window_s, T_s)].copy()
+    lut = plausible_rows(recording.lut[window_rows(recording.lut["period"], window_s, T_s)])
     if len(lut) == len(feedback):
         i_dq = lut["i_dq"][:, 0] + 1j * lut["i_dq"][:, 1]  # what the controller itself saw
     else:
-        i_dq = to_dq(i_abc, n_p * unwrap(feedback["encoder_angle"]))
+        i_dq = to_dq(i_abc, n_p * _angle(feedback))
 
     fine_time = fine_theta = fine_abc = fine_dq = None
     if recording.i_abc_oversampled is not None:
-        fine = recording.i_abc_oversampled[rows].copy()
+        fine = plausible(recording.i_abc_oversampled[rows].copy())
         if len(state) >= 8:
             factor = fine.shape[1]
             fine_time = (state["period"][:, None] + np.arange(factor) / factor).ravel() * T_s
-            fine_theta = n_p * oversample_angle(unwrap(state["angle"]), factor)
+            fine_theta = n_p * oversample_angle(_angle(state), factor)
             fine_abc = fine.reshape(-1, 3)
             fine_dq = to_dq(fine_abc, fine_theta)
     return Window(
@@ -289,7 +305,7 @@ def speeds(recording: Recording, w: Window) -> Array:
     T_s = recording.T_s
     state = recording.state[window_rows(recording.state["period"], (w.begin, w.end), T_s)]
     if len(state) == len(w.time):
-        return np.asarray(state["speed"], dtype=np.float64)
+        return plausible(np.asarray(state["speed"], dtype=np.float64))
     return np.gradient(w.theta, w.time) / (recording.n_p or 1)
 
 
@@ -298,6 +314,6 @@ def mean_speed(recording: Recording, w: Window) -> float:
     T_s = recording.T_s
     state = recording.state[window_rows(recording.state["period"], (w.begin, w.end), T_s)]
     if len(state):
-        return float(np.mean(state["speed"]))
+        return float(np.mean(plausible(state["speed"])))
     turned = float(w.theta[-1] - w.theta[0]) / float(w.time[-1] - w.time[0])
     return turned / (recording.n_p or 1)
