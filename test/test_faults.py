@@ -24,7 +24,7 @@ from rosbags.rosbag2 import Reader
 from std_srvs.srv import Trigger
 
 from mfpcc_controller.node import MfpccController
-from mfpcc_experiments.proofs import faults
+from mfpcc_experiments.proofs import fault_cases, faults
 from mfpcc_experiments.running import run
 from mfpcc_experiments.running.scenario import Scenario
 from pwm_node.wire import Wire
@@ -180,7 +180,7 @@ def test_the_graph_survives_a_fault_with_the_same_verdict_as_in_process(
     domain: int, unit: str, kind: str
 ) -> None:
     """`mfpcc faults --engine ros` shows it for all of them."""
-    matrix = faults.cases(faults.POINTS[1:2])
+    matrix = fault_cases.cases(fault_cases.POINTS[1:2])
     chosen = [case for case in matrix if (case.unit, case.kind) == (unit, kind)]
     on_graph = faults.judge_all(chosen, engine="ros")
     in_process = faults.judge_all(chosen)

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import inspect
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from mfpcc_experiments.proofs import faults
+import mfpcc_controller.protection
+import pmsm_sim.parts.inverter
+import pmsm_sim.parts.protection
+from mfpcc_experiments.proofs import fault_cases, faults, needed
 from mfpcc_experiments.running import closed_loop
 from pmsm_sim.parts.injection import UNITS
 
 
 def test_there_are_cases_of_every_unit_and_type() -> None:
-    cases = faults.cases()
+    cases = fault_cases.cases()
     assert len(cases) >= 200
     assert {(case.unit, case.kind) for case in cases} == {
         (unit, kind) for unit, kinds in UNITS.items() for kind in kinds
     }
 
 
-@pytest.mark.parametrize("point", faults.POINTS, ids=str)
-def test_every_fault_is_survived(point: faults.Point) -> None:
-    verdicts = faults.judge_all(faults.cases([point]))
+@pytest.mark.parametrize("point", fault_cases.POINTS, ids=str)
+def test_every_fault_is_survived(point: fault_cases.Point) -> None:
+    verdicts = faults.judge_all(fault_cases.cases([point]))
     failed = [(v.case.injection, v.codes, v.failures) for v in verdicts if not v.survived]
     assert failed == []
 
@@ -57,6 +63,37 @@ def test_a_hot_motor_gets_less_current_and_trips_only_where_that_is_not_enough()
 
 
 def test_without_the_reaction_there_is_damage() -> None:
-    cases = [case for case in faults.cases() if case.unit == "encoder"]
+    cases = [case for case in fault_cases.cases() if case.unit == "encoder"]
     verdicts = faults.judge_all(cases, react=False)
     assert max(verdict.current for verdict in verdicts) > faults.DAMAGE
+
+
+def test_every_fault_of_both_nodes_is_a_check_that_can_be_removed() -> None:
+    """`mfpcc faults --needed` shows that each of them is needed; it takes a minute or more."""
+    checks: list[needed.Check] = []
+    for module in (
+        mfpcc_controller.protection,
+        pmsm_sim.parts.protection,
+        pmsm_sim.parts.inverter,
+    ):
+        needed.removable(module.__name__, inspect.getsource(module), checks)
+    codes = {(check.node, check.what.split(" ")[0]) for check in checks}
+    own = {("inverter", code) for code in pmsm_sim.parts.protection.FAULTS.codes}
+    own |= {("controller", code) for code in mfpcc_controller.protection.FAULTS.codes}
+    # how long a step took, the node measures
+    assert own - codes == {("controller", "SCHEME")}
+    bounds = [check for check in checks if check.what.startswith("sample: ")]
+    assert len(bounds) == 9
+    assert len({check.number for check in checks}) == len(checks) == 30
+
+
+@pytest.mark.parametrize("code", ["OVERCURRENT", "CURRENT_SUM", "STALL"])
+def test_the_matrix_does_not_pass_without_a_limit(code: str) -> None:
+    """The limit out of reach is as good as the check removed."""
+    far = {"OVERCURRENT": "fault.overcurrent", "CURRENT_SUM": "fault.current_sum"}
+    cases = [case for case in fault_cases.cases() if any(code in name for name in case.finds)]
+    assert cases and all(verdict.survived for verdict in faults.judge_all(cases))
+    name, value = (far[code], 100.0) if code in far else ("fault.stall_time", 100.0)
+    of_controller = [case for case in cases if not any("inverter" in n for n in case.finds)]
+    blind = [replace(case, controller=((name, value),)) for case in of_controller]
+    assert not any(verdict.survived for verdict in faults.judge_all(blind))

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE as CONTROLLER
+from mfpcc_experiments.proofs.fault_cases import DURATION, REQUIRED, START, Case
 from mfpcc_experiments.running import Engine
 from pmsm_sim.parameters import TABLE as PLANT
-from pmsm_sim.parts.injection import UNITS
 from pmsm_sim.parts.protection import OVERCURRENT
 from pmsm_sim.plant import Plant
 from pwm_node import bits
@@ -39,47 +39,9 @@ from pwm_node.wire import fixed_dtype, fixed_size
 #: and what one period adds.
 DAMAGE = 22.0
 
-_START, _DURATION = 0.05, 0.1  # s
 _PERIODS = 2500
-_WARM = 95.0  # K: 115 degC, at which less current is allowed, but some
 _CONTROLLED = 1.0  # A: so far may the current be off its reference
 _NOISE = 0.0245  # A
-
-
-@dataclass(frozen=True)
-class Point:
-    """An operating point: scheme, speed (r/min) and load (N m)."""
-
-    scheme: str
-    speed_rpm: float
-    load: float
-
-    def __str__(self) -> str:
-        return f"{self.scheme} {self.speed_rpm:g} r/min {self.load:g} N m"
-
-
-POINTS = (
-    Point("mls_mfpcc", 750.0, 2.0),
-    Point("mbpcc", 1200.0, 5.0),
-    Point("pi_foc", -300.0, 3.0),
-    Point("mfpcc", 1500.0, 8.0),
-)
-
-
-@dataclass(frozen=True)
-class Case:
-    """One fault at one operating point; without a magnitude, with that of its unit."""
-
-    unit: str
-    kind: str
-    point: Point
-    magnitude: float | None = None
-
-    @property
-    def injection(self) -> str:
-        """As the plant's parameter wants it."""
-        magnitude = "" if self.magnitude is None else f" {self.magnitude:g}"
-        return f"{_START} {_DURATION} {self.unit} {self.kind}{magnitude}"
 
 
 @dataclass(frozen=True)
@@ -128,49 +90,9 @@ _FITTING: dict[str, set[str]] = {
         "ENCODER",
         *_LOOP,
     },
-    "load": {"OVERSPEED", "ENCODER", *_LOOP},
+    "load": {"OVERSPEED", "ENCODER", "STALL", *_LOOP},
     "temperature": {"OVERTEMPERATURE"},
 }
-# What has to be found, whatever the operating point.
-_REQUIRED: dict[tuple[str, str], str] = {
-    ("dc_sensor", "off"): "FEEDBACK_INVALID",
-    ("dc_link", "off"): "DC_UNDERVOLTAGE",
-    ("dc_link", "wrong"): "DC_OVERVOLTAGE",
-    ("dc_link", "slow"): "DC_OVERVOLTAGE",
-    ("duty_link", "off"): "COMMAND_LOST",
-    ("duty_link", "dropped"): "COMMAND_LOST",
-    ("duty_link", "garbage"): "COMMAND_LOST",
-    ("duty_link", "delayed"): "COMMAND_LOST",
-    ("feedback_link", "off"): "COMMAND_LOST",
-    ("feedback_link", "dropped"): "COMMAND_LOST",
-    ("feedback_link", "garbage"): "FEEDBACK_INVALID",
-    ("feedback_link", "delayed"): "FEEDBACK_INVALID",
-    ("feedback_link", "stuck"): "ENCODER",
-    ("temperature", "wrong"): "OVERTEMPERATURE",
-    ("encoder", "stuck"): "ENCODER",
-    ("encoder", "wrong"): "ENCODER",
-    ("encoder", "off"): "ENCODER",
-    ("encoder", "intermittent"): "ENCODER",
-    ("temperature", "slow"): "OVERTEMPERATURE",
-    **{(f"current_{x}", "garbage"): "" for x in "abc"},  # found, under one name or another
-    **{(f"current_{x}", "wrong"): "CURRENT_SUM" for x in "abc"},
-    **{(f"current_{x}", "off"): "CURRENT_SUM" for x in "abc"},
-}
-
-
-def cases(points: Sequence[Point] = POINTS) -> list[Case]:
-    """The whole matrix: every unit with every type it has, at every operating point.
-
-    And a temperature that does not trip yet, at each of them.
-    """
-    return [
-        case
-        for point in points
-        for case in (
-            *(Case(unit, kind, point) for unit, kinds in UNITS.items() for kind in kinds),
-            Case("temperature", "slow", point, _WARM),
-        )
-    ]
 
 
 def judge_all(
@@ -200,7 +122,7 @@ def judge_all(
         If the graph cannot be used (engine `ros`).
     """
     if engine == "inprocess":
-        return list(_judged(chosen, _run_in_process, react, tell))
+        return list(judged(chosen, _run_in_process, react, tell))
     # rclpy is needed for this engine only
     ros_environment.check()
     from mfpcc_experiments.graph import composed
@@ -215,20 +137,29 @@ def judge_all(
                 state=_fixed(DriveState, found.messages.get("drive_state", [])),
                 feedback=_fixed(PhaseFeedback, found.messages.get("phase_feedback", [])),
                 command=_fixed(DutyCommand, found.messages.get("duty_command", [])),
+                found=_latched(found.plant, found.controller),
+                tripped=found.plant.tripped or found.controller.tripped,
             )
 
-        return list(_judged(chosen, run_on_graph, react, tell))
+        return list(judged(chosen, run_on_graph, react, tell))
 
 
 @dataclass(frozen=True)
 class _Run:
-    """What truly happened, and what was latched: plant and controller as they were at the end."""
+    """What truly happened, and what was latched: plant and controller as they were at the end.
+
+    `found` are code, period and node of what was latched; `returned` is what was wrong with the
+    way in which the power returned afterwards.
+    """
 
     plant: Plant
     controller: Controller
     state: NDArray[np.void]
     feedback: NDArray[np.void]
     command: NDArray[np.void]
+    found: tuple[tuple[str, int, str], ...]
+    tripped: bool
+    returned: tuple[str, ...] = ()
 
     @property
     def T_s(self) -> float:
@@ -255,19 +186,72 @@ class _Run:
         return int(refused[0]), int(invalid[0])
 
 
-_Runner = Callable[[dict[str, Any], dict[str, Any]], _Run]
+Runner = Callable[[dict[str, Any], dict[str, Any]], _Run]
+
+
+def _latched(plant: Plant, controller: Controller) -> tuple[tuple[str, int, str], ...]:
+    """Code, period and node of what was latched, in the order of time."""
+    return tuple(
+        sorted(
+            (
+                (code, period, name)
+                for name, part in (("inverter", plant), ("controller", controller))
+                for code, period, _ in part.faults()
+            ),
+            key=lambda fault: fault[1],
+        )
+    )
 
 
 def _run_in_process(plant: dict[str, Any], controller: dict[str, Any]) -> _Run:
-    engine = Engine(plant, controller)
-    traces = list(engine.run(plant["periods"]))
+    return run_engine(Engine(plant, controller), plant["periods"])
+
+
+def run_engine(engine: Engine, periods: int) -> _Run:
+    """Run a drive, and then see how its power returns."""
+    traces = list(engine.run(periods))
+    found = _latched(engine.plant, engine.controller)
+    tripped = engine.plant.tripped or engine.controller.tripped
     return _Run(
         engine.plant,
         engine.controller,
         state=np.concatenate([trace.state for trace in traces]),
         feedback=np.concatenate([trace.feedback for trace in traces]),
         command=np.concatenate([trace.command for trace in traces]),
+        found=found,
+        tripped=tripped,
+        returned=tuple(_return(engine)) if tripped else (),
     )
+
+
+def _return(engine: Engine) -> Iterator[str]:
+    """What is wrong with the way in which the power returns once the faults are cleared.
+
+    The speed's reference is still where it was, and has to be at zero first.
+    """
+    plant, controller = engine.plant, engine.controller
+    speed_ref = controller.values["speed_ref_rpm"]
+
+    def gates(periods: int) -> NDArray[np.bool_]:
+        traces = list(engine.run(periods))
+        return np.concatenate([trace.state["gates_on"] for trace in traces])
+
+    lasting = plant.clear_faults()
+    if gates(3).any():
+        yield "power returned when the inverter was cleared"
+    lasting += controller.clear_faults()
+    if gates(20).any():
+        yield "power returned into a running set-point"
+    if lasting:
+        return  # a load that drives the motor while it is off, say
+    controller.apply({"speed_ref_rpm": 0.0})
+    if not gates(10)[-1]:
+        yield "power does not return from a reference at zero"
+    controller.apply({"speed_ref_rpm": speed_ref})
+    plant.stop()
+    plant.clear_faults()
+    if gates(1).any():
+        yield "power returned at once after a stop of the inverter"
 
 
 def _fixed(msg_class: Any, messages: Sequence[bytes]) -> NDArray[np.void]:
@@ -281,25 +265,27 @@ def _fixed(msg_class: Any, messages: Sequence[bytes]) -> NDArray[np.void]:
     return rows
 
 
-def _judged(
-    chosen: Sequence[Case], run: _Runner, react: bool, tell: Callable[[int], None]
+def judged(
+    chosen: Sequence[Case], run: Runner, react: bool, tell: Callable[[int], None]
 ) -> Iterator[Verdict]:
-    unharmed: dict[tuple[Point, str], _Run] = {}
+    """As `judge_all`, with what runs a drive of the parameters of plant and controller."""
+    unharmed: dict[Any, _Run] = {}
     for number, case in enumerate(chosen, start=1):
         # a sensor that is slow or stuck shows the truth where the truth is constant
         supply = "rectifier" if case.unit == "dc_sensor" else "stiff"
-        same = case.point, supply
+        same = case.point, supply, case.plant, case.controller
         if same not in unharmed:
-            unharmed[same] = run(*_values(case.point, supply, [], react))
-        harmed = run(*_values(case.point, supply, [case.injection], react))
+            unharmed[same] = run(*_values(case, supply, [], react))
+        harmed = run(*_values(case, supply, case.injections, react))
         yield _judge(case, harmed, unharmed[same])
         tell(number)
 
 
 def _values(
-    point: Point, supply: str, injections: list[str], react: bool
+    case: Case, supply: str, injections: list[str], react: bool
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Parameters of plant and controller."""
+    point = case.point
     plant = {
         "initial_speed_rpm": point.speed_rpm,
         "load_torque": point.load,
@@ -309,21 +295,23 @@ def _values(
         "injections": injections,
         "fault.react": react,
         "periods": _PERIODS,
+        **dict(case.plant),
     }
     controller = {
         "scheme": point.scheme,
         "speed_ref_rpm": point.speed_rpm,
         "fault.react": react,
         "fault.feedback_timeout": 0.0,  # the verdict must not depend on how fast the machine is
+        **dict(case.controller),
     }
     return PLANT.complete(plant), CONTROLLER.complete(controller)
 
 
 def _judge(case: Case, run: _Run, unharmed: _Run) -> Verdict:
     state, T_s = run.state, run.T_s
-    begin = round(_START / T_s)
+    begin = round(START / T_s)
     current = float(np.max(run.current))
-    found = sorted(run.plant.faults() + run.controller.faults(), key=lambda fault: fault[1])
+    found = run.found
     codes = tuple(code for code, _, _ in found)
     failures = []
 
@@ -337,8 +325,7 @@ def _judge(case: Case, run: _Run, unharmed: _Run) -> Verdict:
         failures.append("a command that is not valid left the controller")
 
     off = np.flatnonzero(~state["gates_on"])
-    tripped = run.plant.tripped or run.controller.tripped
-    if tripped:
+    if run.tripped:
         first_off = int(off[0]) if len(off) else len(state)
         stops = [period for code, period, _ in found if code not in _NO_STOP]
         latched_at = min(stops, default=first_off)
@@ -351,24 +338,38 @@ def _judge(case: Case, run: _Run, unharmed: _Run) -> Verdict:
             failures.append("power returned by itself")
     elif len(off):
         failures.append("gates off without a trip")
-    if case.magnitude is not None:
+    if case.less_current:
         failures += _not_derated(run, codes)
+    failures += run.returned
 
     fitting = _FITTING[case.unit.rsplit("_", 1)[0] if case.unit[-2] == "_" else case.unit]
     if codes and codes[0] not in fitting:
         failures.append(f"{codes[0]} does not fit")
-    required = _REQUIRED.get((case.unit, case.kind)) if case.magnitude is None else None
-    if required is not None and not (required in codes if required else codes):
-        failures.append(f"{required or 'it'} was not found")
-    after = (off[0] - begin) * T_s if tripped and len(off) else float("nan")
+    failures += _not_found(case, run, begin)
+    after = (off[0] - begin) * T_s if run.tripped and len(off) else float("nan")
     return Verdict(case, codes, after, current, tuple(failures))
+
+
+def _not_found(case: Case, run: _Run, begin: int) -> Iterator[str]:
+    """What should have been found while the fault was there, and was not."""
+    # what the link withholds is missed as soon as a sample comes again
+    end = begin + round(DURATION / run.T_s) + 1
+    first = begin - 10  # a sample that is late counts for the period whose number it has
+    there = [(code, node) for code, period, node in run.found if first <= period <= end]
+    names = {name for code, node in there for name in (code, f"{node} {code}")}
+    required = REQUIRED.get((case.unit, case.kind)) if case.magnitude is None else None
+    if required == "" and not names:
+        yield "it was not found"
+    for name in (*case.finds, *([required] if required else [])):
+        if name not in names:
+            yield f"{name} was not found"
 
 
 def _not_derated(run: _Run, codes: Sequence[str]) -> Iterator[str]:
     """What is wrong where the drive should have gone on with less current."""
     if codes:
         yield f"{codes[0]} where less current is enough"
-    begin, middle = round(_START / run.T_s), round((_START + 0.5 * _DURATION) / run.T_s)
+    begin, middle = round(START / run.T_s), round((START + 0.5 * DURATION) / run.T_s)
     derated = slice(middle, 2 * middle - begin)
     i_max = run.plant.motor.i_max
     allowed = run.feedback["derating"][derated] * i_max + _CONTROLLED

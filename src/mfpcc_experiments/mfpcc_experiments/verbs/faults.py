@@ -26,14 +26,24 @@ if TYPE_CHECKING:
 )
 @click.option("--brief", is_flag=True, help="Show only the cases that were not survived.")
 @click.option("--no-control", is_flag=True, help="Leave out the negative control.")
-def command(unit: str, engine: str, brief: bool, no_control: bool) -> int:
+@click.option(
+    "--needed",
+    is_flag=True,
+    help="Show each check of the protection with the cases that fail without it.",
+)
+def command(unit: str, engine: str, brief: bool, no_control: bool, needed: bool) -> int:
     """Inject every fault into the running drive, and judge it by the truth in the plant.
 
     The exit code is 1 if a case was not survived, or if the negative control (the same faults
-    with the protection switched off) shows no damage.
+    with the protection switched off) shows no damage. With --needed, each check of both nodes is
+    taken out of the kernels in turn, and the exit code is 1 if the matrix passes without one.
     """
+    if needed:
+        if unit or engine != "inprocess":
+            raise click.UsageError("--needed takes the whole matrix, in process")
+        return _show_needed()
     from mfpcc_experiments.progress import progress_bar
-    from mfpcc_experiments.proofs import faults
+    from mfpcc_experiments.proofs import fault_cases, faults
     from pmsm_sim.parts.injection import UNITS
     from pwm_node.names import unknown
 
@@ -41,7 +51,7 @@ def command(unit: str, engine: str, brief: bool, no_control: bool) -> int:
         raise click.UsageError(unknown("unit", unit, UNITS))
     if engine not in ENGINES:
         raise click.UsageError(unknown("engine", engine, ENGINES))
-    cases = [case for case in faults.cases() if unit in ("", case.unit)]
+    cases = [case for case in fault_cases.cases() if unit in ("", case.unit)]
     with progress_bar() as begin:
         tell = begin("faults", len(cases))
         verdicts = faults.judge_all(cases, engine=engine, tell=tell)
@@ -62,6 +72,35 @@ def command(unit: str, engine: str, brief: bool, no_control: bool) -> int:
     return int(lost > 0 or not (harmed or unit))
 
 
+def _show_needed() -> int:
+    """Print the table of the checks; 1 if one is not needed."""
+    from mfpcc_experiments.progress import progress_bar
+    from mfpcc_experiments.proofs import needed
+
+    checks = []
+    with progress_bar() as begin:
+        tell = None
+        for found in needed.ask():
+            if "fails" in found:
+                click.echo(f"not survived with all checks in place: {found['fails']}")
+                return 1
+            if "done" in found:
+                tell = tell or begin("checks", found["of"])
+                tell(found["done"])
+            else:
+                checks.append(found)
+    if not checks:
+        return 1  # why was said
+    click.echo(f"{'node':<12}{'check':<44}{'needed by':>10}  for example")
+    for check in checks:
+        cases = check["cases"]
+        example = cases[0] if cases else "NOTHING NEEDS IT"
+        click.echo(f"{check['node']:<12}{check['check']:<44}{len(cases):>10}  {example}")
+    lacking = sum(not check["cases"] for check in checks)
+    click.echo(f"{len(checks)} checks, {len(checks) - lacking} of them needed by a case")
+    return int(lacking > 0)
+
+
 def _show(verdicts: Sequence[Verdict]) -> None:
     """Print the table of the cases."""
     click.echo(
@@ -69,12 +108,11 @@ def _show(verdicts: Sequence[Verdict]) -> None:
     )
     for verdict in verdicts:
         case = verdict.case
-        fault = case.kind if case.magnitude is None else f"{case.kind} {case.magnitude:g}"
         after = "-"
         if verdict.tripped_after == verdict.tripped_after:
             after = f"{verdict.tripped_after * 1e3:.1f} ms"
         click.echo(
-            f"{case.unit:<14}{fault:<14}{case.point!s:<34}{after:>10}"
+            f"{case.unit:<14}{case.kind_of_fault:<14}{case.point!s:<34}{after:>10}"
             f"{verdict.current:>7.1f} A  {', '.join(verdict.codes) or '-'}"
         )
         for failure in verdict.failures:

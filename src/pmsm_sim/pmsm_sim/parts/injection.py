@@ -37,7 +37,7 @@ UNITS: dict[str, tuple[str, ...]] = {
     "leg_b": ("off", "stuck", "garbage", "wrong", "intermittent"),
     "leg_c": ("off", "stuck", "garbage", "wrong", "intermittent"),
     "duty_link": (*_LINK_TYPES, "wrong", "duplicated"),
-    "feedback_link": (*_LINK_TYPES, "duplicated"),
+    "feedback_link": (*_LINK_TYPES, "wrong", "duplicated"),
     "load": ("off", "stuck", "garbage", "wrong", "intermittent"),
     "temperature": ("wrong", "slow"),
 }
@@ -63,7 +63,7 @@ MAGNITUDES = {
     "leg_b": 0.2,
     "leg_c": 0.2,
     "duty_link": 0.2,
-    "feedback_link": 5.0,
+    "feedback_link": 5.0,  # of the share of the current limit that the inverter allows
     "load": 15.0,  # N m
     "temperature": 120.0,  # K
 }
@@ -408,7 +408,7 @@ def _set(fb, channel, value):
     elif channel == 2:
         fb.i_c = value
     elif channel == 3:
-        fb.encoder_angle = value % (2.0 * math.pi)
+        fb.encoder_angle = value
     else:
         fb.dc_voltage = value
 
@@ -428,6 +428,8 @@ def _inject_feedback_link(par, st, it, fb):
         inj.copies = 2 if k % np.uint64(2) == 1 else 0
     elif it.type == _GARBAGE:
         fb.i_a, fb.encoder_angle = np.nan, np.inf
+    elif it.type == _WRONG:
+        fb.derating += it.magnitude
     elif it.type == _STUCK:
         row = inj.history[(it.begin - np.uint64(1)) % np.uint64(_HISTORY)]
         if not it.holds:
@@ -458,6 +460,10 @@ def inject_sample(par, st, fb):
             continue
         if it.unit <= _DC_SENSOR:
             channel = it.unit - _CURRENT_A
-            _set(fb, channel, _faulty(par, st, it, channel, row[channel]))
+            value = _faulty(par, st, it, channel, row[channel])
+            # more than a turn off is no angle any more, but a number that is wrong
+            if channel == _ENCODER and not abs(it.magnitude) > 2.0 * math.pi:
+                value %= 2.0 * math.pi
+            _set(fb, channel, value)
         elif it.unit == _FEEDBACK_LINK:
             _inject_feedback_link(par, st, it, fb)
