@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +17,15 @@ from harness import Process, until
 
 from mfpcc_experiments.bags import read
 from mfpcc_experiments.measuring import evaluate
-from mfpcc_experiments.running import run
+from mfpcc_experiments.method.drives import random_drive, settled
+from mfpcc_experiments.running import closed_loop, run
 from mfpcc_experiments.sweeping import again, cluster, local, work
 from mfpcc_experiments.sweeping import folder as folders
 from mfpcc_experiments.sweeping import plan as plans
 from mfpcc_experiments.sweeping.errors import SweepError
 from mfpcc_experiments.sweeping.plan import Plan
 from mfpcc_experiments.sweeping.spec import load
+from pwm_node import yaml_files
 from pwm_node.errors import ForPeople
 
 pytest.importorskip("pyarrow")
@@ -106,9 +109,8 @@ def test_values_that_are_wrong_together_are_told_with_their_row(tmp_path):
     vary = {"inverter.dead_time": {"uniform": [0, 6e-5]}}
     plan = Plan(spec_of(tmp_path, vary=vary, runs=20))
     plan.check()
-    folder = folders.begin(tmp_path / "out", plan, work.fingerprint(), resume=False)
     with pytest.raises(SweepError, match=r"row \d+: 'inverter.dead_time' = .* half a PWM period"):
-        work.run(folder.job(0))
+        work.run(next(work.jobs(plan)))
 
 
 def test_grids_take_all_and_draws_are_the_same_in_each(tmp_path):
@@ -186,7 +188,7 @@ def test_a_row_is_the_run_that_is_recorded(tmp_path, monkeypatch):
     plan = Plan(spec_of(tmp_path, **content))
     plan.check()
     folder = folders.begin(tmp_path / "out", plan, work.fingerprint(), resume=False)
-    folder.keep(0, work.run(folder.job(0)))
+    folder.keep(0, work.run(next(work.jobs(plan))))
     rows = rows_of(folder.path)
     assert [row["row"] for row in rows] == list(range(12))
     assert {row["motor"] for row in rows} == {"seed_750", "textbook_spmsm"}
@@ -211,14 +213,9 @@ def small(tmp_path, monkeypatch):
     plan = Plan(spec_of(tmp_path, vary=vary, runs=50, schemes=["mls_mfpcc", "mbpcc"]))
     assert plan.chunks == 8
     folder = folders.begin(tmp_path / "whole", plan, work.fingerprint(), resume=False)
-    for n in range(plan.chunks):
-        folder.keep(n, work.run(folder.job(n)))
+    for job in work.jobs(folder.plan):
+        folder.keep(job.number, work.run(job))
     return plan, {n: folder.file(n).read_bytes() for n in range(plan.chunks)}
-
-
-def jobs_of(plan: Plan, path: Path):
-    folder = folders.begin(path, plan, work.fingerprint(), resume=False)
-    return (folder.job(n) for n in range(plan.chunks))
 
 
 def test_a_killed_worker_is_replaced_and_its_chunk_done_again(small, tmp_path, monkeypatch):
@@ -233,7 +230,7 @@ def test_a_killed_worker_is_replaced_and_its_chunk_done_again(small, tmp_path, m
             os.kill(self.process.pid, signal.SIGKILL)
 
     monkeypatch.setattr(local._Worker, "begin", begin_and_kill)
-    found = dict(local.run(jobs_of(plan, tmp_path / "out"), 2))
+    found = dict(local.run(work.jobs(plan), 2))
     assert found == whole
     assert len(hired) == plan.chunks + 2
 
@@ -248,7 +245,7 @@ def test_a_chunk_that_kills_every_worker_is_given_up(small, tmp_path, monkeypatc
 
     monkeypatch.setattr(local._Worker, "begin", begin_and_kill)
     with pytest.raises(SweepError, match="3 workers died of it"):
-        dict(local.run(jobs_of(plan, tmp_path / "out"), 1))
+        dict(local.run(work.jobs(plan), 1))
 
 
 def command(*arguments):
@@ -277,8 +274,8 @@ def test_a_killed_sweep_goes_on_and_gives_the_same_bytes(tmp_path):
     assert left and left < {path.name for path in killed.glob("*.parquet")}
     assert not list(killed.glob(".*"))
     own = folders.load(killed)
-    for n in range(own.plan.chunks):
-        assert own.file(n).read_bytes() == work.run(own.job(n))
+    for job in work.jobs(own.plan):
+        assert own.file(job.number).read_bytes() == work.run(job)
     assert len(rows_of(killed)) == 1200
 
     other = call("sweep", spec, "--out", killed, "--resume", "--scheme", "mbpcc")
@@ -301,7 +298,7 @@ def test_a_cluster_gives_the_same_bytes_and_loses_a_worker(tmp_path):
     pytest.importorskip("distributed")
     schemes = ["mls_mfpcc", "mbpcc", "pi_foc", "mfpcc", "neso_mfpcc", "mfpcc_two_vector"]
     vary = {"mismatch.inductance": {"uniform": [0.5, 2.0]}}
-    plan = Plan(spec_of(tmp_path, vary=vary, runs=100, schemes=schemes))
+    spec_of(tmp_path, vary=vary, runs=100, schemes=schemes)
     file, out = tmp_path / "scheduler.json", tmp_path / "out"
     dask = [sys.executable, "-m", "dask"]
     here = ["--scheduler-file", file, "--no-dashboard", "--host", "127.0.0.1"]
@@ -329,8 +326,8 @@ def test_a_cluster_gives_the_same_bytes_and_loses_a_worker(tmp_path):
         workers[0].kill()
         assert sweep.wait() == 0, sweep.output
     own = folders.load(out)
-    for n in range(plan.chunks):
-        assert own.file(n).read_bytes() == work.run(own.job(n))
+    for job in work.jobs(own.plan):
+        assert own.file(job.number).read_bytes() == work.run(job)
 
 
 def test_a_worker_that_would_give_other_rows_is_refused_by_name():
@@ -375,3 +372,26 @@ def test_nothing_else_is_written_over(small, tmp_path):
     (tmp_path / "mine/file").write_text("mine")
     with pytest.raises(SweepError, match="something else than a sweep"):
         folders.begin(tmp_path / "mine", plan, work.fingerprint(), resume=True)
+
+
+def test_the_random_drives_of_the_method_are_a_sweep():
+    """The file draws what `random_drive` does, and judges as `settled` does."""
+    plan = Plan(load(yaml_files.find("sweeps", "random_drives")), ("mfpcc_two_vector",))
+    plan.check()
+    assert plan.rows == 1000
+    chosen = range(20)
+    job = next(work.jobs(plan, [0]))
+    few = replace(job, columns={name: values[:20] for name, values in job.columns.items()})
+    outcome = work.outcomes(few)
+    survived = work.survived(outcome, plan.spec.survived)
+    for number in chosen:
+        _, values = plan.row(number)
+        options = random_drive(number)
+        assert values["seed"] == options["seed"] == number
+        assert {name: values[name] for name in options["controller"]} == options["controller"]
+        assert (values["speed_rpm"], values["load_torque"]) == (options["rpm"], options["load"])
+        assert options["schedule"] == [f"0.1 load_torque {values['schedule[0].load_torque']}"]
+        r = closed_loop.run("mfpcc_two_vector", 0.25, **options)
+        assert outcome["i_peak"][number] == r.largest_current()
+        assert survived[number] == settled(r, 0.6)
+    assert 0 < survived.sum() < 20

@@ -45,8 +45,8 @@ def folder(tmp_path_factory):
     made = folders.begin(
         path / "out", Plan(load(path / "spec.yaml")), work.fingerprint(), resume=False
     )
-    for n in range(made.plan.chunks):
-        made.keep(n, work.run(made.job(n)))
+    for job in work.jobs(made.plan):
+        made.keep(job.number, work.run(job))
     return made
 
 

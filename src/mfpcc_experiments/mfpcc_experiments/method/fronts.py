@@ -11,11 +11,15 @@ import numpy as np
 from mfpcc_controller.parameters import SCHEMES
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_controller.schemes import BUILT_IN
-from mfpcc_experiments.method.drives import ENCODER, random_drive, settled
+from mfpcc_experiments.method.drives import ENCODER
 from mfpcc_experiments.running.closed_loop import run
+from mfpcc_experiments.sweeping.plan import Plan
+from mfpcc_experiments.sweeping.spec import load
+from mfpcc_experiments.sweeping.work import jobs, outcomes, survived
+from pwm_node import yaml_files
 
-DRAWS = 1000
 RIPPLE_LIMITS = (0.6, 3.0)  # A
+_RIPPLE = ("span_pp.d", "span_pp.q")
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,18 @@ def choices(scheme: str) -> list[tuple[str, float, bool]]:
     return [("deadbeat.gain", x, x == own) for x in (0.15, 0.24, 0.35, 0.5, 0.7, 1.0)]
 
 
+def _random_drives(scheme: str, choice: dict[str, float]) -> tuple[tuple[float, ...], float]:
+    """Share of the random drives that settle, by each limit; and their largest current (A)."""
+    spec = load(yaml_files.find("sweeps", "random_drives"))
+    plan = Plan(spec.model_copy(update={"set": {**spec.set, **choice}}), (scheme,))
+    found = np.concatenate([outcomes(job) for job in jobs(plan)])
+    good = [
+        survived(found, {**spec.survived, **dict.fromkeys(_RIPPLE, limit)}).mean()
+        for limit in RIPPLE_LIMITS
+    ]
+    return tuple(map(float, good)), float(found["i_peak"].max())
+
+
 @functools.cache
 def points() -> list[Point]:
     """Every scheme, at every choice, judged by the same criteria."""
@@ -81,13 +97,7 @@ def points() -> list[Point]:
                 run(scheme, 0.4, seed=seed, oversampling=20, plant=ENCODER, controller=choice)
                 for seed in range(1, 6)
             ]
-            good, largest = np.zeros(len(RIPPLE_LIMITS)), 0.0
-            for seed in range(DRAWS):
-                options = random_drive(seed)
-                options["controller"] |= choice
-                r = run(scheme, 0.25, **options)
-                good += [settled(r, limit) for limit in RIPPLE_LIMITS]
-                largest = max(largest, r.largest_current())
+            good, largest = _random_drives(scheme, choice)
             found.append(
                 Point(
                     scheme,
@@ -96,7 +106,7 @@ def points() -> list[Point]:
                     float(np.median([_periods_to_settle(scheme, s, choice) for s in range(1, 6)])),
                     float(np.median([r.thd(0.2) for r in steady])),
                     float(np.median([r.ripple(0.2).max() for r in steady])),
-                    tuple(good / DRAWS),
+                    good,
                     largest,
                 )
             )

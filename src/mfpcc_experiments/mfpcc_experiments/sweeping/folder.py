@@ -18,7 +18,7 @@ from mfpcc_experiments.files import write_whole
 from mfpcc_experiments.sweeping.errors import SweepError
 from mfpcc_experiments.sweeping.plan import Plan
 from mfpcc_experiments.sweeping.spec import Spec
-from mfpcc_experiments.sweeping.work import Job
+from mfpcc_experiments.sweeping.work import shared
 from pwm_node import interrupts
 
 #: The file that says what the sweep is.
@@ -43,23 +43,12 @@ class Folder:
         self.path = path
         self.content = dict(content)
         self.plan = Plan(Spec.model_validate(content["spec"]), tuple(content["schemes"]))
-        if (
-            self.plan.base.model_dump(mode="json") != content["base"]
-            or _motors(self.plan) != content["motors"]
-        ):
+        now = shared(self.plan)
+        if any(now[key] != content[key] for key in ("base", "motors")):
             raise SweepError(
                 f"{path}: the experiment or a motor file is another one now than when the sweep "
                 "began: choose another --out"
             )
-        self._sweep = json.dumps(
-            {
-                "base": content["base"],
-                "motors": content["motors"],
-                "vary": list(self.plan.spec.vary),
-                "survived": self.plan.spec.survived,
-                "metrics": self.plan.spec.metrics,
-            }
-        )
 
     def file(self, chunk: int) -> Path:
         """Where the rows of a chunk are."""
@@ -74,11 +63,6 @@ class Folder:
         _, start, stop = self.plan.chunk(chunk)
         return stop - start
 
-    def job(self, chunk: int) -> Job:
-        """A chunk, to be done."""
-        scheme, start, stop = self.plan.chunk(chunk)
-        return Job(chunk, self._sweep, scheme, start, self.plan.columns(start, stop))
-
     def keep(self, chunk: int, data: bytes) -> None:
         """Put the rows of a chunk onto the disk."""
         path = self.file(chunk)
@@ -90,10 +74,6 @@ class Folder:
             except OSError as error:
                 temporary.unlink(missing_ok=True)
                 raise OSError(error.errno, error.strerror, str(path)) from None
-
-
-def _motors(plan: Plan) -> dict[str, Any]:
-    return {name: motor.model_dump(mode="json") for name, motor in plan.motors.items()}
 
 
 def begin(path: Path, plan: Plan, fingerprint: Mapping[str, str], *, resume: bool) -> Folder:
@@ -120,8 +100,7 @@ def begin(path: Path, plan: Plan, fingerprint: Mapping[str, str], *, resume: boo
         "format": _FORMAT,
         "spec": plan.spec.model_dump(mode="json"),
         "schemes": list(plan.schemes),
-        "base": plan.base.model_dump(mode="json"),
-        "motors": _motors(plan),
+        **{key: shared(plan)[key] for key in ("base", "motors")},
         "chunk_rows": plan.chunk_rows,
         "code": fingerprint["code"],
     }

@@ -153,9 +153,13 @@ class Plan:
 def _base(spec: Spec) -> Scenario:
     """The experiment with what is otherwise in all runs."""
     found = scenarios.load(spec.experiment)
-    changes = (f"{name}={value if isinstance(value, str) else json.dumps(value)}"
-               for name, value in spec.set.items())  # fmt: skip
-    return scenarios.changed(found, changes)
+    scheduled = {n: value for n, value in spec.set.items() if scenarios.scheduled(found, n)}
+    rest = (
+        f"{name}={value if isinstance(value, str) else json.dumps(value)}"
+        for name, value in spec.set.items()
+        if name not in scheduled
+    )
+    return scenarios.changed(scenarios.varied(found, scheduled), rest)
 
 
 def _uniform(spec: Spec, dimensions: int) -> NDArray[np.float64]:
@@ -164,6 +168,9 @@ def _uniform(spec: Spec, dimensions: int) -> NDArray[np.float64]:
         return np.empty((spec.runs, 0))
     if spec.draw == "random":
         return np.random.default_rng(spec.seed).random((spec.runs, dimensions))
+    if spec.draw == "by_number":
+        own = (np.random.default_rng(spec.seed + k) for k in range(spec.runs))
+        return np.array([generator.random(dimensions) for generator in own])
     from scipy.stats import qmc
 
     if spec.draw == "sobol":

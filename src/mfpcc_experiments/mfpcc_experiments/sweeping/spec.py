@@ -23,7 +23,7 @@ from mfpcc_experiments.sweeping.space import Space
 from pwm_node import yaml_files
 from pwm_node.names import unknown
 
-DRAWS = ("random", "latin_hypercube", "sobol")
+DRAWS = ("random", "by_number", "latin_hypercube", "sobol")
 
 #: What a limit of `survived` can be put on, beside the figures.
 OF_THE_RUN = ("i_peak", "i_peak_over_limit")
@@ -87,7 +87,8 @@ class Spec(BaseModel):
     experiment : str
         A name of `config/experiments`, or the path of a file.
     set : dict
-        What of the experiment is otherwise in all runs: NAME: VALUE, as with `mfpcc run --set`.
+        What of the experiment is otherwise in all runs: NAME: VALUE, as with `mfpcc run --set`, or
+        `schedule[N].NAME`, or `schedule[N].at`.
     schemes : list of str
         Who controls; `--scheme` on the command line counts more.
     vary : dict
@@ -96,7 +97,8 @@ class Spec(BaseModel):
     runs : int
         Draws for each combination of the grids.
     draw : str
-        How: `random`, `latin_hypercube`, or `sobol` (whose number has to be a power of two).
+        How: `random`; `by_number` (the same, but each draw by a generator of its own, so that it
+        depends on its number alone); `latin_hypercube`; or `sobol` (`runs` is a power of two).
     seed : int
         Of the draws, and of the noise of the first.
     survived : dict

@@ -12,7 +12,7 @@ import io
 import json
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from importlib.util import find_spec
@@ -27,6 +27,7 @@ from mfpcc_experiments.running import Scenario, scenario
 from mfpcc_experiments.running.batch import FIGURES, OUTCOME, Batch, drive_of
 from mfpcc_experiments.sweeping.drives import Drives, place
 from mfpcc_experiments.sweeping.errors import SweepError
+from mfpcc_experiments.sweeping.plan import Plan
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.parts.protection import FAULTS as OF_PLANT
 from pwm_node import bits
@@ -58,34 +59,65 @@ class Job:
     columns: dict[str, NDArray[Any]]
 
 
-def run(job: Job) -> bytes:
+def shared(plan: Plan) -> dict[str, Any]:
+    """What is the same in all chunks of a sweep."""
+    return {
+        "base": plan.base.model_dump(mode="json"),
+        "motors": {name: motor.model_dump(mode="json") for name, motor in plan.motors.items()},
+        "vary": list(plan.spec.vary),
+        "survived": plan.spec.survived,
+        "metrics": plan.spec.metrics,
+    }
+
+
+def jobs(plan: Plan, chunks: Iterable[int] | None = None) -> Iterator[Job]:
+    """The chunks of a sweep, or some of them, to be done."""
+    text = json.dumps(shared(plan))
+    for number in range(plan.chunks) if chunks is None else chunks:
+        scheme, start, stop = plan.chunk(number)
+        yield Job(number, text, scheme, start, plan.columns(start, stop))
+
+
+def outcomes(job: Job) -> NDArray[np.void]:
     """
     Run the rows of a chunk.
 
     Returns
     -------
-    bytes
-        A Parquet file.
+    structured array of `batch.OUTCOME`, shape (n,)
 
     Raises
     ------
     SweepError
         If a row is none that can be run, with its number.
     """
-    import pyarrow
-    from pyarrow import parquet
-
-    sweep = _sweep(job.sweep)
     drives, batch = _prepared(job.sweep, job.scheme, threading.get_ident())
     columns = {name: values.tolist() for name, values in job.columns.items()}
     n = len(columns["seed"])
-    outcome = np.zeros(n, OUTCOME)
+    found = np.zeros(n, OUTCOME)
     for k in range(n):
         try:
             drive = drives.drive({name: values[k] for name, values in columns.items()})
         except SweepError as error:
             raise SweepError(f"row {job.first + k}: {error}") from None
-        batch.one(drive, outcome[k : k + 1])
+        batch.one(drive, found[k : k + 1])
+    return found
+
+
+def run(job: Job) -> bytes:
+    """
+    Run the rows of a chunk, as `outcomes`.
+
+    Returns
+    -------
+    bytes
+        A Parquet file.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    sweep, outcome = _sweep(job.sweep), outcomes(job)
+    n = len(outcome)
     table: dict[str, Any] = {
         "row": np.arange(job.first, job.first + n),
         "scheme": pyarrow.array([job.scheme] * n).dictionary_encode(),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Run an experiment many thousand times, with what varies from a file.")
-@click.argument("spec", type=click.Path(path_type=Path))
+@click.argument("spec")
 @click.option(
     "--scheme",
     "schemes",
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     help="The same; the file is the one that `dask scheduler --scheduler-file` wrote.",
 )
 def command(
-    spec: Path,
+    spec: str,
     schemes: tuple[str, ...],
     out: Path | None,
     resume: bool,
@@ -47,7 +47,7 @@ def command(
     scheduler: str | None,
     scheduler_file: Path | None,
 ) -> None:
-    """Run the sweep of the file SPEC on all cores, or on a cluster, and report on it.
+    """Run the sweep SPEC (a file, or a name of config/sweeps) on all cores or on a cluster.
 
     The folder is all the state there is: what was done before Ctrl-C, or before the machine went
     down, is kept, and --resume goes on. A row is run again with a full recording by
@@ -58,12 +58,12 @@ def command(
     from mfpcc_experiments.sweeping import work
     from mfpcc_experiments.sweeping.errors import needs
     from mfpcc_experiments.sweeping.plan import Plan
-    from pwm_node import compiled
+    from pwm_node import compiled, yaml_files
 
     needs("pyarrow")
     if scheduler and scheduler_file:
         raise click.UsageError("--scheduler and --scheduler-file name a scheduler each")
-    wanted = specs.load(spec)
+    wanted = specs.load(yaml_files.find("sweeps", spec))
     for scheme in schemes:
         specs.known_scheme(scheme)
     plan = Plan(wanted, tuple(dict.fromkeys(schemes)))
@@ -89,13 +89,13 @@ def _ask(plan: Plan, yes: bool) -> None:
 
 
 def _run(folder: Folder, scheduler: str | None, scheduler_file: Path | None) -> None:
-    from mfpcc_experiments.sweeping import local
+    from mfpcc_experiments.sweeping import local, work
     from mfpcc_experiments.sweeping.progress import Progress
     from pwm_node import interrupts
 
     done = set(folder.done())
     left = [n for n in range(folder.plan.chunks) if n not in done]
-    jobs = (folder.job(n) for n in left)
+    jobs = work.jobs(folder.plan, left)
     results: Iterator[tuple[int, bytes]]
     rows_before = sum(folder.rows_of(n) for n in done)
     with interrupts.undone(), Progress(folder.plan.rows, rows_before) as progress:
