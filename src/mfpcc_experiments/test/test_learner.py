@@ -9,7 +9,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mfpcc_experiments.method.drives import ENCODER, dirty_drive, random_drive, real_run
+from mfpcc_controller import motor as motors
+from mfpcc_experiments.method.drives import (
+    ENCODER,
+    dirty_drive,
+    motor_like,
+    random_drive,
+    real_deviation,
+    real_run,
+    time_constant,
+)
 from mfpcc_experiments.running.closed_loop import Run, run
 
 SEEDS = (1, 2, 3, 4, 5)
@@ -27,10 +36,11 @@ def gain_over_truth(r: Run) -> np.ndarray:
         # the largest and the least of 2000 samples, of few seeds, scatter by some per cent
         ("sensors of 3 kHz", 1.12),
         ("sensors of 2 kHz", 1.12),
-        ("sensors of 1 kHz", 1.25),
+        ("sensors of 1 kHz", 1.12),
+        ("sampled 0.3 of a period early", 1.12),
         ("sampled half a period early", 1.12),
         ("the same, `ipmsm`", 1.15),
-        ("noise of 100 mA", 1.05),
+        ("noise of 100 mA", 1.06),
         ("converters of 10 bits", 1.12),
         ("encoder of 500 lines", 1.12),
     ],
@@ -155,6 +165,107 @@ def test_a_first_guess_that_is_wrong_by_far_is_safe_at_speed(ratio):
     assert r.largest_current() < r.controller.motor.i_max
 
 
+@pytest.mark.parametrize("saliency", [2.0, 8.0])
+@pytest.mark.parametrize("rpm", [0.0, 2200.0])
+@pytest.mark.parametrize("ratio", [0.0, 0.1, 1.0, 10.0])
+def test_salient_machines_start_from_any_table(saliency, rpm, ratio):
+    """`ratio` of 0: an empty one."""
+    start = {"mismatch.inductance": ratio} if ratio else {"mls.start": "empty"}
+    motor = motor_like("ipmsm", L_d=1.5e-3, L_q=1.5e-3 * saliency)
+    for seed in (1, 2):
+        r = run("mls_mfpcc", 0.2, motor=motor, rpm=rpm, seed=seed, plant=ENCODER, controller=start)
+        assert r.controller.faults() == []
+        assert r.largest_current() < 1.3 * r.controller.motor.i_max
+        found, guess = gain_over_truth(r), np.array([2.0, 2.0 * saliency]) / (1.0 + saliency)
+        if ratio:
+            # nearer to the truth than what it started from
+            assert np.all(np.abs(np.log(found)) < np.abs(np.log(guess / ratio)))
+        assert 0.5 < found[1] < 1.2
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("torque", [5.0, 10.0, 20.0])
+def test_a_fast_run_up_of_a_salient_machine_keeps_its_map(torque, seed):
+    """The d gain once went to zero here: the cross-coupling was taken for smaller than it is."""
+    deep = motor_like(
+        "ipmsm", R_s=0.1, L_d=1.2e-3, L_q=3.6e-3, psi_f=0.06, n_p=4, J=1e-3, u_dc=300.0,
+        i_max=100.0, speed_max_rpm=20_000,
+    )  # fmt: skip
+    pwm = {"pwm_frequency": 20e3}
+    r = run(
+        "mls_mfpcc",
+        0.25,
+        motor=deep,
+        rpm=200.0,
+        load=torque,
+        seed=seed,
+        plant={**ENCODER, **pwm, "noise.current_rms": 0.1},
+        controller={**pwm, "mtpa": True, "field_weakening": True, "fault.overspeed": 10.0},
+        schedule=["0.1 speed_ref_rpm 60000"],
+    )
+    assert r.controller.faults() == []
+    assert r.largest_current() < 1.05 * r.controller.motor.i_max
+    assert np.all(np.abs(gain_over_truth(r) - 1.0) < 0.4)
+
+
+@pytest.mark.parametrize("motor", ["maxon_ec45flat_30w_12v", "maxon_ec45flat_70w", "teknic_m2310p"])
+@pytest.mark.parametrize("frequency", [10e3, 20e3])
+def test_small_motors_run_up_at_their_first_step(motor, frequency):
+    """An error that was cut told less: P once shrank as if it had not been, and A stayed wrong."""
+    est, pwm = motors.load(motor), {"pwm_frequency": frequency}
+    for seed in SEEDS:
+        r = run(
+            "mls_mfpcc",
+            0.2,
+            motor=motor,
+            rpm=0.0,
+            load=0.0,
+            seed=seed,
+            plant={**ENCODER, **pwm, "noise.current_rms": 2e-3 * est.i_max},
+            controller=pwm,
+            schedule=[f"0.05 speed_ref_rpm {0.9 * est.speed_max_rpm}"],
+        )
+        assert r.controller.faults() == []
+        assert r.largest_current() < 1.25 * est.i_max
+
+
+def test_a_decay_within_the_period_is_no_delay():
+    """L / R of four periods: with the gain of both taps a step went 15 % beyond its end."""
+    over = [real_deviation("mls_mfpcc", "L / R 0.2 ms: `maxon_ecmax40_120w`", s) for s in SEEDS]
+    assert np.median(over) < 0.02
+
+
+def test_a_short_time_constant_is_predicted_as_the_true_model_does():
+    """0.57 ms sampled at 50 us, i_q in steps at standstill: once 3 to 5 times as wrong."""
+    motor, pwm = time_constant(0.57e-3), {"pwm_frequency": 20e3}
+    random = np.random.default_rng(1)
+    steps = [f"{0.1 + 1e-3 * n:.3f} i_q_ref {random.uniform(-4.0, 4.0):.3f}" for n in range(300)]
+    rms = {}
+    for scheme in ("mbpcc", "mls_mfpcc"):
+        r = run(
+            scheme,
+            0.4,
+            motor=motor,
+            rpm=0.0,
+            load=0.0,
+            plant={**ENCODER, **pwm, "load.kind": "speed", "load.speed_rpm": 0.0},
+            controller={**pwm, "control_mode": "current"},
+            schedule=steps,
+        )
+        rms[scheme] = np.sqrt(np.mean(r.lut["prediction_error"][r.rows(0.2)] ** 2))
+    assert rms["mls_mfpcc"] < 1.1 * rms["mbpcc"]
+
+
+@pytest.mark.parametrize("case", ["no noise", "noise of 2 mA", "noise of 5 mA"])
+def test_quiet_drives_are_as_calm_as_with_the_true_model(case):
+    """An error below a threshold once went to the constant alone: 1.3 times the ripple at 2 mA."""
+    ripple = {
+        scheme: np.median([real_run(scheme, case, seed).ripple(0.2) for seed in SEEDS], axis=0)
+        for scheme in ("mbpcc", "mls_mfpcc")
+    }
+    assert np.all(ripple["mls_mfpcc"] <= 1.05 * ripple["mbpcc"])
+
+
 def test_random_drives_with_slow_sensors_settle():
     for seed in range(20):
         options = random_drive(seed)
@@ -171,7 +282,9 @@ def test_random_dirty_drives_settle_better_than_true_models():
         r = run("mls_mfpcc", 0.3, **options)
         assert r.controller.faults() == []
         assert r.ripple(0.2).max() < 0.9, seed
-        true = {**options, "controller": {}}
+        true = {
+            **options, "controller": {"pwm_frequency": options["controller"]["pwm_frequency"]}
+        }  # fmt: skip
         rivals = (run("mbpcc", 0.3, **true), run("pi_foc", 0.3, **true))
         over.append(
             np.sqrt(np.mean(r.error(0.2) ** 2))

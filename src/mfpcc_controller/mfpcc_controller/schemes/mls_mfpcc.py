@@ -4,21 +4,25 @@ What moves the current in one period is fitted by weighted least squares to the 
 parameter of the motor but a first guess of its inductance. In the rotor frame, with real
 coefficients,
 
-    i(k+1) - i(k) = B_0 u(k) + B_1 u(k-1) - w T_s B J B^-1 i(k)
+    i(k+1) - i(k) = B_0 v(k) + B_1 v(k-1)
                     + A i_s(k) + E w + c + D s(i_s) + w (C cos 6 theta + S sin 6 theta)
+    v = u - w T_s J B^-1 i
 
-u is the mean voltage of a period in the rotor frame of its middle, theta is taken there too, and
-B = B_0 + B_1. The seven entries of the table are B's answers to the seven vectors, and the natural
-one is all the rest. (The paper's symmetric entries *are* such a linear map; here it is per volt, so
-that a DC link that sags does not touch it, and in the rotor frame, where that of a salient machine
-is constant too.)
+u is the mean voltage of a period in the rotor frame of its middle, theta is taken there too, J
+turns by 90 degrees, and B = B_0 + B_1. The seven entries of the table are B's answers to the seven
+vectors, and the natural one is all the rest. (The paper's symmetric entries *are* such a linear
+map; here it is per volt, so that a DC link that sags does not touch it, and in the rotor frame,
+where that of a salient machine is constant too.)
 
 *Two taps.* What the current sensor delays, by its bandwidth or because it samples early, shows one
 period later. With B_0 alone the map would be learned too small, down to half, which is the edge of
 a deadbeat loop's stability.
 
-*The turn of the frame.* The flux, T_s B^-1 i, turns against the rotor frame by w T_s. So this part
-of the natural response is known from the map itself, saliency included.
+*The turn of the frame.* The flux, T_s B^-1 i, turns against the rotor frame by w T_s. So what it
+takes of the voltage is known from the map itself, saliency included; v is what is left. It is v
+that is the regressor, and not u: both parts are B times something, and an error of B shows by their
+sum. (With u, a d gain that is too small takes the cross-coupling for smaller than it is, and what
+u_d answers to that makes it smaller still: to zero, in fast run-ups of a salient machine.)
 
 *What is fitted, and to what.* The increment is that of the *measured* currents. Its noise is
 n(k+1) - n(k), and the voltages of the periods k and k - 1 were decided before n(k) was seen: they
@@ -47,22 +51,24 @@ and each period one row and column of P is drawn a little towards the first gues
 moves, nothing is learned, and two causes that cannot be told apart stay as they were between
 themselves. The constant c takes what no regressor explains; it follows with a fixed share of each
 error, whatever the noise is. r, the mean square of e', counts every error by at most 25 times its
-expectation.
+expectation; of an error that was cut P takes the same share less, since it told less.
 
-*Small errors.* What is left in a drive without noise is slow, coherent and not of this model (the
-speed estimate's delay, a second-order term); over thousands of samples it would bend the map in
-directions that hardly move. So an error below 0.1 % of the current limit goes to the constant
-alone.
+*Quiet drives.* r is never taken for less than a least value. What is left in a drive without noise
+is slow, coherent and not of this model (the speed estimate's delay, a second-order term); over
+thousands of samples it would bend the map in directions that hardly move. So the less noise there
+is below that value, the faster the constant follows, and takes what is slow.
 
 *The observer.* Control starts from `i_f = i_hat + l e`. A prediction that is right leaves errors
 without memory; positive correlation of one error and the next says that l is too small, negative
 that it is too large. So l is moved by e(k) e(k-1). An error beyond what noise explains is followed
 at once (l = 1).
 
-*Control.* From the predicted sample, the current that comes when what is under way has arrived is
-`i~ = i_hat(k+1) + B_1 (u(k) - u_0)` with the voltage u_0 that holds it; the next voltage brings
-that to the reference: `u(k+1) = u_0(i~) + B^-1 (i_ref - i~)`. The loop has the whole gain in any
-case.
+*Control.* With N the natural response but for the turn, u_0(i) = -B^-1 N(i) + w T_s J B^-1 i holds
+the current i. From the predicted sample, the current that comes when what is under way has arrived
+is `i~ = i_hat(k+1) + B_1 (u(k) - u_0(i_hat))`; the next voltage brings that to the reference:
+`u(k+1) = u_0(i~) + B^-1 (i_ref - i~)`. The loop has the whole gain in any case. Where B_0 is larger
+than B, nothing comes late: a current that decays within the period (a short L / R) leaves a B_1
+against B_0, and `u(k+1) = u_0(i~) + B_0^-1 (i_ref - i~)` reaches the reference.
 
 *Start.* The first guess of B is the model's mean inductance, or (`mls.start: empty`) what moves the
 current by its limit in one period: the largest of any motor, so that the first moves are small. The
@@ -97,8 +103,10 @@ _OF_CURRENT = (4, 5)
 # Share of the first guess's variance by which the coefficients walk in _WALK_TIME (s)
 _WALK = 2e-5
 _WALK_TIME = 0.05
-# Share of an error that the constant follows at least
+# Share of an error that the constant follows at least; where there is less noise than the least
+# that is counted with, it costs no ripple to follow more: up to so many times its square
 _FOLLOW = 0.03
+_FOLLOW_MORE = 100.0
 
 # Noise: first guess, which counts as so many samples, and least value, over the current limit; how
 # many samples it is a mean of; how many times its expectation an error may count; beyond _LOUD
@@ -108,8 +116,6 @@ _NOISE_LEAST = 2e-3
 _NOISE_MEMORY = 500.0
 _LIMIT = 25.0
 _LOUD = 25.0
-# An error below this share of the least noise (squares) goes to the constant alone.
-_QUIET = 0.25
 # Differences of the current and its reference up to so many times the noise are noise.
 _NEAR = 4.0
 
@@ -119,7 +125,7 @@ _SIGN = 0.03
 
 # The observer's share: first value, bounds, and rates of itself and of the variance it is based on
 _SHARE = 0.5
-_SHARE_LEAST, _SHARE_MOST = 0.1, 0.95
+_SHARE_LEAST, _SHARE_MOST = 0.03, 0.95
 _SHARE_RATE = 0.01
 
 # A map flatter than this (its determinant over the square of its size) is none of a motor.
@@ -176,7 +182,7 @@ MEMORY = np.dtype(
         # references of the samples before: what the current has to be at k + 1 and at k
         ("i_due_next", np.complex128),
         ("i_due", np.complex128),
-        ("u_past", np.complex128),  # voltage of the period before, over its unit (dq)
+        ("v_past", np.complex128),  # v of the period before, over its unit (dq)
         # the table: natural entry (A per period, dq), and answers to 1 V on the d and the q axis
         ("g_0", np.complex128),
         ("m_d", np.complex128),
@@ -262,6 +268,16 @@ def _regress(x, slope, w, i_s, turn):
 
 
 @kernel
+def _rest(d, q, x):
+    """What neither voltage nor current make of the natural response (A per period)."""
+    rest_d, rest_q = 0.0, 0.0
+    for a in range(6, _N):
+        rest_d += x[a] * d[a]
+        rest_q += x[a] * q[a]
+    return complex(rest_d, rest_q)
+
+
+@kernel
 def _fit(cfg, mem, e_d, e_q, e_sq):
     """Correct all coefficients by an error, and their covariance."""
     own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
@@ -283,6 +299,7 @@ def _fit(cfg, mem, e_d, e_q, e_sq):
     s = noise + known
     lut.s = s
     weight = 1.0 / s
+    bound = 1.0
     if e_sq > _LIMIT * s:
         bound = math.sqrt(_LIMIT * s / e_sq)
         e_d *= bound
@@ -292,6 +309,7 @@ def _fit(cfg, mem, e_d, e_q, e_sq):
         K = weight * Px[a]
         lut.d[a] += K * e_d
         lut.q[a] += K * e_q
+        K *= bound
         for b in range(a + 1):
             P[a, b] -= K * Px[b]
 
@@ -304,7 +322,10 @@ def _fit(cfg, mem, e_d, e_q, e_sq):
         P[a, row] *= keep
     P[row, row] += (1.0 - keep * keep) * lut.P_first[row]
     if P[_CONSTANT, _CONSTANT] < lut.P_first[_CONSTANT]:
-        P[_CONSTANT, _CONSTANT] += _FOLLOW * _FOLLOW * noise
+        follow = _FOLLOW * _FOLLOW
+        if lut.r < noise:
+            follow *= min(noise / lut.r, _FOLLOW_MORE)
+        P[_CONSTANT, _CONSTANT] += follow * noise
 
     mem.eta = known * weight
     lut.of_voltage = of_voltage / known if known > 0.0 else 0.0
@@ -313,19 +334,12 @@ def _fit(cfg, mem, e_d, e_q, e_sq):
 @kernel
 def _learn(cfg, mem):
     """Correct the coefficients and the filter by the error of this sample."""
-    own, lut, i_dq, e = cfg.mls_mfpcc, mem.mls_mfpcc, mem.i_dq, mem.e
+    lut, i_dq, e = mem.mls_mfpcc, mem.i_dq, mem.e
     e_d = e.real - mem.jitter * i_dq.imag - lut.e_left.real
     e_q = e.imag + mem.jitter * i_dq.real - lut.e_left.imag
 
     e_sq = e_d * e_d + e_q * e_q
-    if e_sq < _QUIET * own.least_noise:
-        # what is left in a quiet drive is slow and not of this model: the constant's
-        lut.d[_CONSTANT] += _FOLLOW * e_d
-        lut.q[_CONSTANT] += _FOLLOW * e_q
-        mem.eta = _FOLLOW
-        lut.of_voltage = 0.0
-    else:
-        _fit(cfg, mem, e_d, e_q, e_sq)
+    _fit(cfg, mem, e_d, e_q, e_sq)
     lut.samples = min(lut.samples + 1.0, _NOISE_MEMORY)
     lut.r += (min(0.5 * e_sq, _LIMIT * lut.r) - lut.r) / lut.samples
     lut.learned_at = mem.period
@@ -352,10 +366,10 @@ def _begin(cfg, mem):
     lut.e, lut.e_left = 0j, 0j
     lut.i_due, lut.i_due_next = i_dq, i_dq
     if not mem.contiguous:
-        lut.u_past = scaled(own.per_u * mem.u_dc, mem.now.u * mem.turn_now)
+        lut.v_past = scaled(own.per_u * mem.u_dc, mem.now.u * mem.turn_now)
         return
-    lut.u_past = scaled(own.per_u * mem.u_dc, mem.past.u * mem.turn_past)
-    x, i_past, u, turn = lut.x, mem.i_dq_past, lut.u_past, cfg.T_s * mem.w_m
+    lut.v_past = scaled(own.per_u * mem.u_dc, mem.past.u * mem.turn_past)
+    x, i_past, u, turn = lut.x, mem.i_dq_past, lut.v_past, cfg.T_s * mem.w_m
     x[0], x[1], x[2], x[3] = u.real, u.imag, u.real, u.imag
     x[4], x[5] = own.per_i * i_past.real, own.per_i * i_past.imag
     _regress(x, own.slope, own.per_w * mem.w_m, i_past, mem.turn_past)
@@ -372,79 +386,82 @@ def _begin(cfg, mem):
 
 
 @kernel
+def _answer(b, z):
+    """B z, or A z, of a map by its rows."""
+    return complex(b[0] * z.real + b[1] * z.imag, b[2] * z.real + b[3] * z.imag)
+
+
+@kernel
+def _needed(inverse, b, z):
+    """B^-1 z, with the inverse of the determinant."""
+    return complex(
+        inverse * (b[3] * z.real - b[1] * z.imag), inverse * (b[0] * z.imag - b[2] * z.real)
+    )
+
+
+@kernel
+def _turned(turn, psi):
+    """-J psi turn: the voltage that the turn of the frame makes of a flux."""
+    return complex(turn * psi.imag, -turn * psi.real)
+
+
+@kernel
 def step(cfg, mem):
     """Learn from the last error, predict k + 1, reach the reference at k + 2."""
     own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
     if not lut.ready:
         _fill(cfg, mem)
-    if mem.contiguous and mem.kept and lut.begun:
-        _learn(cfg, mem)
-        i_x = mem.i_hat
-    else:
+    fresh = not (mem.contiguous and mem.kept and lut.begun)
+    if fresh:
         _begin(cfg, mem)
-        i_x = mem.i_dq
+    else:
+        _learn(cfg, mem)
+    i_x = mem.i_dq if fresh else mem.i_hat
     lut.begun = True
     d, q, x, i_f = lut.d, lut.q, lut.x, lut.i_f
 
-    # the map, and what the turn of the flux and A make of the current
-    b_dd, b_dq, b_qd, b_qq = d[0] + d[2], d[1] + d[3], q[0] + q[2], q[1] + q[3]
-    det = b_dd * b_qq - b_dq * b_qd
-    size = b_dd * b_dd + b_dq * b_dq + b_qd * b_qd + b_qq * b_qq
-    if det < 0.5 * _FLAT * size or b_dd + b_qq <= 0.0:
+    b_0, b_1 = (d[0], d[1], q[0], q[1]), (d[2], d[3], q[2], q[3])
+    b = (d[0] + d[2], d[1] + d[3], q[0] + q[2], q[1] + q[3])
+    det = b[0] * b[3] - b[1] * b[2]
+    size = b[0] * b[0] + b[1] * b[1] + b[2] * b[2] + b[3] * b[3]
+    if det < 0.5 * _FLAT * size or b[0] + b[3] <= 0.0:
         # not yet one that could be inverted
-        b_dd = b_qq = math.sqrt(0.5 * size)
-        b_dq = b_qd = 0.0
         det = 0.5 * size
+        b = (math.sqrt(det), 0.0, 0.0, math.sqrt(det))
     inverse = 1.0 / det
-    turn = cfg.T_s * mem.w_m * inverse
-    skew = turn * (b_dq * b_qq + b_dd * b_qd)
-    f_dd = own.per_i * d[4] - skew
-    f_dq = own.per_i * d[5] + turn * (b_dq * b_dq + b_dd * b_dd)
-    f_qd = own.per_i * q[4] - turn * (b_qq * b_qq + b_qd * b_qd)
-    f_qq = own.per_i * q[5] + skew
+    decay = (own.per_i * d[4], own.per_i * d[5], own.per_i * q[4], own.per_i * q[5])
+    turn = cfg.T_s * mem.w_m
 
     # predict
     noise = _NEAR * math.sqrt(max(lut.r, own.least_noise))
     w = own.per_w * mem.w_m
     u = scaled(own.per_u * mem.u_dc, mem.now.u * mem.turn_now)
     i_s = _settled(noise, i_x, lut.i_due)
-    x[0], x[1], x[2], x[3] = u.real, u.imag, lut.u_past.real, lut.u_past.imag
+    if fresh:
+        lut.v_past += _turned(turn, _needed(inverse, b, mem.i_dq_past))
+    v = u + _turned(turn, _needed(inverse, b, i_x))
+    x[0], x[1], x[2], x[3] = v.real, v.imag, lut.v_past.real, lut.v_past.imag
     x[4], x[5] = own.per_i * i_s.real, own.per_i * i_s.imag
     _regress(x, own.slope, w, i_s, mem.turn_now)
-    d_d = f_dd * i_f.real + f_dq * i_f.imag
-    d_q = f_qd * i_f.real + f_qq * i_f.imag
-    for a in range(4):
-        d_d += x[a] * d[a]
-        d_q += x[a] * q[a]
-    for a in range(6, _N):
-        d_d += x[a] * d[a]
-        d_q += x[a] * q[a]
-    i_1 = complex(i_f.real + d_d, i_f.imag + d_q)
-    lut.u_past = u
+    i_1 = i_f + _answer(decay, i_f) + _answer(b_0, v) + _answer(b_1, lut.v_past) + _rest(d, q, x)
+    lut.v_past = v
 
-    # what the current of period k + 1 does by itself, and the voltage that holds it
+    # what the current of period k + 1 does by itself, and less the voltage that holds it
     y = lut.x_next
     _regress(y, own.slope, w, _settled(noise, i_1, lut.i_due_next), mem.turn_next)
-    own_d, own_q = 0.0, 0.0
-    for a in range(6, _N):
-        own_d += y[a] * d[a]
-        own_q += y[a] * q[a]
-    g_d = own_d + f_dd * i_1.real + f_dq * i_1.imag
-    g_q = own_q + f_qd * i_1.real + f_qq * i_1.imag
-    late_d = u.real + inverse * (b_qq * g_d - b_dq * g_q)
-    late_q = u.imag + inverse * (b_dd * g_q - b_qd * g_d)
+    rest = _rest(d, q, y)
+    held = _needed(inverse, b, rest + _answer(decay, i_1)) + _turned(turn, _needed(inverse, b, i_1))
+    lut.g_0 = _answer(b, held)
 
     # where the current ends when what is under way has arrived, and from there to the reference
-    i_d = i_1.real + d[2] * late_d + d[3] * late_q
-    i_q = i_1.imag + q[2] * late_d + q[3] * late_q
-    to_go = search.correction(cfg, mem, complex(i_d, i_q))
-    wish = complex(
-        to_go.real - own_d - f_dd * i_d - f_dq * i_q,
-        to_go.imag - own_q - f_qd * i_d - f_qq * i_q,
-    )
-    lut.g_0 = complex(g_d, g_q)
-    lut.m_d = complex(own.per_u * b_dd, own.per_u * b_qd)
-    lut.m_q = complex(own.per_u * b_dq, own.per_u * b_qq)
+    i_2 = i_1 + _answer(b_1, u + held)
+    held = _needed(inverse, b, rest + _answer(decay, i_2)) + _turned(turn, _needed(inverse, b, i_2))
+    if d[0] + q[1] > 0.0 and d[0] * q[1] - d[1] * q[0] > det:
+        # nothing comes late, but what comes decays: the answer of one period is that of B_0
+        b = b_0
+    wish = search.correction(cfg, mem, i_2) - _answer(b, held)
+    lut.m_d = complex(own.per_u * b[0], own.per_u * b[2])
+    lut.m_q = complex(own.per_u * b[1], own.per_u * b[3])
     u_1 = scaled(ACTIVE_LENGTH * mem.u_dc, mem.turn_next)
     search.choose(cfg, wish, _response(lut, u_1), _response(lut, next_vector(u_1)), mem.next)
     mem.i_hat = i_1

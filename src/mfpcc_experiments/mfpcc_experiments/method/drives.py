@@ -7,11 +7,20 @@ a case says otherwise.
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import math
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from mfpcc_experiments.running.closed_loop import Run, run
+from mfpcc_controller import motor as motors
+from mfpcc_experiments.files import write_whole
+from mfpcc_experiments.running.closed_loop import NOISE, Run, run
+from pwm_node import yaml_files
 
 ENCODER = {"sensor.encoder_lines": 2500}
 LOAD_STEP = ("0.2 load_torque 5.0",)
@@ -47,26 +56,60 @@ def random_drive(seed: int) -> dict[str, Any]:
     }
 
 
+@functools.cache
+def motor_like(name: str, **changes: float) -> str:
+    """Path of a motor file like that of this name, but for the changes; it lasts as the process."""
+    values = yaml.safe_load(yaml_files.find("motors", name).read_text())
+    text = yaml.safe_dump({**values, **changes})
+    # processes that share the folder write the same file, or another one
+    path = Path(_folder().name) / f"{hashlib.sha256(text.encode()).hexdigest()}.yaml"
+    write_whole(path, text)
+    return str(path)
+
+
+@functools.cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="mfpcc_motors_")
+
+
+def time_constant(seconds: float) -> str:
+    """`seed_750` with another L / R (s): both are moved, so that its voltages stay possible."""
+    factor = math.sqrt(seconds / 10e-3)
+    return motor_like("seed_750", L_d=15e-3 * factor, L_q=15e-3 * factor, R_s=1.5 / factor)
+
+
 def dirty_drive(seed: int) -> dict[str, Any]:
     """Options of `run` for a random drive none of whose parts is ideal.
 
-    Besides what `random_drive` draws: encoder of 500 to 5000 lines; sensors of 1 to 5 kHz, or that
-    sample up to half a period early; dead time to 3 us; fifth harmonic of the EMF to 6 %; noise of
-    1 to 63 mA.
+    Besides what `random_drive` draws: PWM of 4 to 40 kHz; L / R of 0.3 to 50 ms, or (one of five)
+    the salient `ipmsm`, saturated; encoder of 500 to 5000 lines; converters of 10 to 14 bits;
+    sensors with a tenth to half of the PWM frequency as bandwidth, or that sample up to half a
+    period early; dead time to 3 us, and 3 % of the period; 5th and 7th harmonic of the EMF to 8 %
+    together; noise of 1 to 63 mA.
     """
     options = random_drive(seed)
     random = np.random.default_rng([seed, 1])
+    frequency = float(4e3 * 10.0 ** random.uniform(0.0, 1.0))
+    fifth, seventh = random.uniform(-0.06, 0.06), random.uniform(-0.02, 0.02)
     plant: dict[str, Any] = {
+        "pwm_frequency": frequency,
         "sensor.encoder_lines": int(random.integers(500, 5001)),
-        "inverter.dead_time": float(random.uniform(0.0, 3e-6)),
-        "machine.emf_5": float(random.uniform(0.0, 0.06)),
+        "sensor.adc_bits": int(random.integers(10, 15)),
+        "inverter.dead_time": float(min(random.uniform(0.0, 3e-6), 0.03 / frequency)),
+        "machine.emf_5": float(fifth),
+        "machine.emf_7": float(seventh),
         "noise.current_rms": float(10.0 ** random.uniform(-3.0, -1.2)),
     }
     if random.random() < 0.5:
-        plant["sensor.current_bandwidth"] = float(random.uniform(1e3, 5e3))
+        plant["sensor.current_bandwidth"] = float(frequency * random.uniform(0.1, 0.5))
     else:
         plant["sensor.sampling_lead"] = float(random.uniform(0.0, 0.5))
-    return {**options, "plant": plant}
+    motor = time_constant(float(0.3e-3 * (50.0 / 0.3) ** random.uniform(0.0, 1.0)))
+    if random.random() < 0.2:
+        motor = "ipmsm"
+        plant |= {"machine.flux_map": "ipmsm_saturated", "sensor.adc_range": 40.0}
+    controller = {**options["controller"], "pwm_frequency": frequency}
+    return {**options, "motor": motor, "plant": plant, "controller": controller}
 
 
 def settled(r: Run, ripple: float) -> bool:
@@ -79,21 +122,41 @@ def settled(r: Run, ripple: float) -> bool:
     )
 
 
+def _at(frequency: float) -> dict[str, Any]:
+    pwm = {"pwm_frequency": frequency}
+    return {"plant": pwm, "controller": pwm}
+
+
+def _small(motor: str, rpm: float, load: float) -> dict[str, Any]:
+    """A small motor at 20 kHz, with a noise of 0.17 % of its current limit, as the others have."""
+    noise = NOISE / 12.0 * motors.load(motor).i_max
+    own = _at(20e3)
+    own["plant"] = {**own["plant"], "noise.current_rms": noise}
+    return {"motor": motor, "rpm": rpm, "load": load, **own}
+
+
 #: What a drive has that simulations leave out: options of `run` on top of the encoder.
 REALITY: dict[str, dict[str, Any]] = {
     "ideal": {},
     "sensors of 3 kHz": {"plant": {"sensor.current_bandwidth": 3e3}},
     "sensors of 2 kHz": {"plant": {"sensor.current_bandwidth": 2e3}},
     "sensors of 1 kHz": {"plant": {"sensor.current_bandwidth": 1e3}},
+    "sampled 0.3 of a period early": {"plant": {"sensor.sampling_lead": 0.3}},
     "sampled half a period early": {"plant": {"sensor.sampling_lead": 0.5}},
     "the same, `ipmsm`": {"motor": "ipmsm", "plant": {"sensor.sampling_lead": 0.5}},
+    "no noise": {"plant": {"noise.current_rms": 0.0}},
     "noise of 2 mA": {"plant": {"noise.current_rms": 0.00245}},
+    "noise of 5 mA": {"plant": {"noise.current_rms": 0.006125}},
     "noise of 100 mA": {"plant": {"noise.current_rms": 0.1225}},
     "converters of 10 bits": {"plant": {"sensor.adc_bits": 10}},
     "encoder of 500 lines": {"plant": {"sensor.encoder_lines": 500}},
+    "dead time 1 us": {"plant": {"inverter.dead_time": 1e-6}},
     "dead time 2 us": {"plant": {"inverter.dead_time": 2e-6}},
+    "dead time 3 us": {"plant": {"inverter.dead_time": 3e-6}},
     "dead time 4 us": {"plant": {"inverter.dead_time": 4e-6}},
+    "EMF: 4 % 5th, 3 % 7th": {"plant": {"machine.emf_5": 0.04, "machine.emf_7": 0.03}},
     "EMF: 8 % 5th, 5 % 7th": {"plant": {"machine.emf_5": 0.08, "machine.emf_7": -0.05}},
+    "EMF: 8 % 5th, 8 % 7th": {"plant": {"machine.emf_5": 0.08, "machine.emf_7": 0.08}},
     "`textbook_spmsm`, 1500 r/min, 5 % 5th": {
         "motor": "textbook_spmsm",
         "rpm": 1500.0,
@@ -104,19 +167,43 @@ REALITY: dict[str, dict[str, Any]] = {
         "load": 8.0,
         "plant": {"machine.flux_map": "ipmsm_saturated"},
     },
-    "PWM 4 kHz": {
-        "plant": {"pwm_frequency": 4e3},
-        "controller": {"pwm_frequency": 4e3},
-    },
-    "PWM 40 kHz": {
-        "plant": {"pwm_frequency": 40e3},
-        "controller": {"pwm_frequency": 40e3},
-    },
+    "PWM 4 kHz": _at(4e3),
+    "PWM 8 kHz": _at(8e3),
+    "PWM 20 kHz": _at(20e3),
+    "PWM 40 kHz": _at(40e3),
+    "L / R 0.2 ms: `maxon_ecmax40_120w`": _small("maxon_ecmax40_120w", 4000.0, 0.1),
+    "L / R 0.5 ms: `maxon_ec45flat_30w_12v`": _small("maxon_ec45flat_30w_12v", 1500.0, 0.04),
+    "L / R 0.3 ms": {"motor": time_constant(0.3e-3)},
+    "L / R 1 ms": {"motor": time_constant(1e-3)},
+    "L / R 3 ms": {"motor": time_constant(3e-3)},
+    "L / R 50 ms": {"motor": time_constant(50e-3)},
 }
+
+
+def _with_encoder(case: str, plant: dict[str, Any]) -> dict[str, Any]:
+    options = dict(REALITY[case])
+    options["plant"] = {**ENCODER, **options.get("plant", {}), **plant}
+    return options
 
 
 def real_run(scheme: str, case: str, seed: int, oversampling: int = 0) -> Run:
     """A steady run of 0.4 s with one piece of reality."""
-    options = dict(REALITY[case])
-    options["plant"] = {**ENCODER, **options.get("plant", {})}
-    return run(scheme, 0.4, seed=seed, oversampling=oversampling, **options)
+    return run(scheme, 0.4, seed=seed, oversampling=oversampling, **_with_encoder(case, {}))
+
+
+def real_deviation(scheme: str, case: str, seed: int) -> float:
+    """Largest deviation after a step of i_q with one piece of reality, over the current limit.
+
+    At a speed that is held i_q steps from 0.1 to 0.4 of the current limit. Within the 20 ms after
+    it, the larger of what the true i_q goes beyond its reference and of what i_d leaves its own
+    by.
+    """
+    options = _with_encoder(case, {"load.kind": "speed"})
+    i_max = motors.load(options.get("motor", "seed_750")).i_max
+    options["plant"]["load.speed_rpm"] = options.get("rpm", 750.0)
+    options["controller"] = {
+        **options.get("controller", {}), "control_mode": "current", "i_q_ref": 0.1 * i_max
+    }  # fmt: skip
+    r = run(scheme, 0.32, seed=seed, schedule=[f"0.3 i_q_ref {0.4 * i_max}"], **options)
+    i = r.state["i_dq"][r.rows(0.3)]
+    return float(max(np.abs(i[:, 0]).max(), i[:, 1].max() - 0.4 * i_max) / i_max)
