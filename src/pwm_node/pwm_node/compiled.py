@@ -35,6 +35,9 @@ from pwm_node import bits
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+# Of a digest, in names
+_DIGITS = 16
+
 # Folders of earlier sources are kept a while: other checkouts on this machine may use them.
 _KEEP_SECONDS = 7 * 24 * 3600
 
@@ -80,10 +83,16 @@ def inlined(function: Function) -> Function:
 def _compiled(function: Function, *, forceinline: bool) -> Function:
     digest = _digest(function)
     function.__kernel_digest__ = digest  # type: ignore[attr-defined]
+    # The linker knows a kernel by its name and a number that counts within the process which
+    # compiled it. Two of one name, as of one function made twice, may have got the same number in
+    # two processes; where both come from disk, the one would silently stand for the other.
+    function.__qualname__ += f"_{digest[:_DIGITS]}"
     compiled: Any = numba.njit(function, error_model="numpy", nogil=True, forceinline=forceinline)
     if compiled is function:  # numba is switched off
         return _plain(function)
     compiled._cache = _ToBeOpened(compiled, digest)
+    if not forceinline:
+        compiled.get_call_template = functools.partial(_called_by_value, compiled)
     return compiled  # type: ignore[no-any-return]
 
 
@@ -114,6 +123,20 @@ def _with_attributes(value: Any) -> Any:
         if dtype.names is not None and dtype.type is not _Record:
             return value.view(np.dtype((_Record, dtype)))
     return value
+
+
+def _called_by_value(
+    kernel: Any, arguments: tuple[Any, ...], named: dict[str, Any]
+) -> tuple[Any, Any, Any, Any]:
+    """What numba asks for where one kernel calls another, without constants as types of their own.
+
+    numba would compile a kernel once more for `0` or `False`, even for what a variable only holds
+    before a loop. What is inlined has the constants anyhow.
+    """
+    arguments = tuple(numba.types.unliteral(argument) for argument in arguments)
+    named = {name: numba.types.unliteral(argument) for name, argument in named.items()}
+    template: tuple[Any, Any, Any, Any] = type(kernel).get_call_template(kernel, arguments, named)
+    return template
 
 
 class _ToBeOpened:
@@ -205,8 +228,9 @@ def _folder(function: Callable[..., Any], digest: str) -> Path | None:
     """Return the cache folder of a kernel, or None where nothing can be kept."""
     if _source(function.__code__.co_filename) is None:
         return None  # typed at a prompt
-    name = f"{function.__module__}.{function.__qualname__}".replace("<locals>", "_")
-    folder = cache_folder() / f"{name}-{digest[:16]}"
+    qualified = function.__qualname__.removesuffix(f"_{digest[:_DIGITS]}")
+    name = f"{function.__module__}.{qualified}".replace("<locals>", "_")
+    folder = cache_folder() / f"{name}-{digest[:_DIGITS]}"
     try:
         fresh = not _touched(folder)
         if fresh:
@@ -256,7 +280,9 @@ def _digest(function: Callable[..., Any]) -> str:
     known = getattr(function, "__kernel_digest__", None)
     if known is not None:
         return str(known)
-    parts = hashlib.sha256(f"{numba.__version__} {np.__version__} {sys.version_info[:2]}".encode())
+    parts = hashlib.sha256(
+        f"named by digest {numba.__version__} {np.__version__} {sys.version_info[:2]}".encode()
+    )
     parts.update(_source(function.__code__.co_filename) or function.__code__.co_code)
     for name, value in sorted(_references(function), key=lambda item: item[0]):
         parts.update(_frozen(name, value, function))

@@ -112,6 +112,36 @@ def test_a_kernel_called_directly_gives_the_same():
     assert add(record, 3.0) == record["x"][0] == 5.0
 
 
+def test_one_function_made_twice_has_two_names():
+    """The linker must not take the one for the other, whichever processes compiled them."""
+
+    def scaled_by(factor):
+        @kernel
+        def scaled(x):
+            return factor * x
+
+        return scaled
+
+    one, two = scaled_by(2.0), scaled_by(3.0)
+    assert (one(1.0), two(1.0)) == (2.0, 3.0)
+    # what follows the name counts within a process
+    symbols = [f.overloads[f.signatures[0]].fndesc.mangled_name.split("B")[0] for f in (one, two)]
+    assert symbols[0] != symbols[1]
+
+
+def test_a_constant_is_no_type_of_its_own():
+    @kernel
+    def twice(n):
+        return 2 * n
+
+    @kernel
+    def both(n):
+        return twice(0) + twice(-1) + twice(n)
+
+    assert both(5) == 8
+    assert len(twice.signatures) == 1
+
+
 def test_finds_the_names_that_the_disassembler_finds():
     """Also beyond 256 names, where the arguments of the byte code are longer than a byte."""
     from pwm_node.compiled import _global_names
