@@ -14,7 +14,7 @@ import numpy as np
 from figures import Figure, figure, interleaved
 
 from mfpcc_controller.controller import Controller
-from mfpcc_experiments.proofs.validation import SETS
+from mfpcc_experiments.proofs.effects import SETS
 from mfpcc_experiments.running import Scenario
 from mfpcc_experiments.running.engine import Engine, parallel, step_time
 from pwm_node import yaml_files

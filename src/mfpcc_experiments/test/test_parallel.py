@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mfpcc_controller.parameters import TABLE as CONTROLLER
-from mfpcc_experiments.proofs.validation import SETS
+from mfpcc_experiments.proofs.effects import SETS
 from mfpcc_experiments.running.engine import Engine, parallel
 from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import bits

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mfpcc_experiments import cli
-from mfpcc_experiments.proofs import validation
+from mfpcc_experiments.proofs import effects
 
 
 def test_all_limits_are_kept_and_all_figures_drawn(tmp_path, capsys, monkeypatch):
@@ -18,11 +18,12 @@ def test_all_limits_are_kept_and_all_figures_drawn(tmp_path, capsys, monkeypatch
         "dead_time.png",
         "integration.png",
         "power_balance.png",
+        "realistic.png",
         "saturation.png",
     }
 
 
 def test_every_effect_can_be_timed():
-    costs = validation.costs(repeats=1, periods=5)
-    assert costs.keys() == validation.COSTED.keys()
+    costs = effects.costs(repeats=1, periods=5)
+    assert costs.keys() == effects.COSTED.keys()
     assert all(cost > 0.0 for cost in costs.values())

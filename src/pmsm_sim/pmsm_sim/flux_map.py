@@ -38,6 +38,7 @@ MAP = np.dtype(
         ("start", np.float64, (2,)),  # smallest i_d, i_q (A)
         ("rate", np.float64, (2,)),  # cells per ampere
         ("cells", np.int64, (2,)),
+        ("beyond", np.float64, (2,)),  # inductances L_dd, L_qq outside of them (H)
         ("spline", np.float64, (_SIZE, _SIZE)),  # B-spline coefficients of the co-energy (J)
     ],
     align=True,
@@ -126,9 +127,11 @@ def _cell(map_, axis, i):
 
 @kernel
 def co_energy(map_, i_d, i_q):
-    """Co-energy of the flux map and its derivatives (W', psi_d, psi_q, L_dd, L_dq, L_qq).
+    """Co-energy of the flux map and its derivatives (W', psi_d, psi_q, L_dd, L_dq, L_qd, L_qq).
 
-    Outside the map its border goes on with constant incremental inductances.
+    L_dq is dpsi_d/di_q, and L_qd is dpsi_q/di_d: the same in the map. Outside, the flux linkage of
+    the border goes on with the smallest inductances of the map. That has an inverse everywhere, but
+    no energy that is exactly its own.
     """
     cell_d, u_d, over_d = _cell(map_, 0, i_d)
     cell_q, u_q, over_q = _cell(map_, 1, i_q)
@@ -150,12 +153,16 @@ def co_energy(map_, i_d, i_q):
     L_dd *= rate_d * rate_d
     L_dq *= rate_d * rate_q
     L_qq *= rate_q * rate_q
-    if over_d != 0.0 or over_q != 0.0:
-        W += psi_d * over_d + psi_q * over_q
-        W += 0.5 * (L_dd * over_d**2 + L_qq * over_q**2) + L_dq * over_d * over_q
-        psi_d += L_dd * over_d + L_dq * over_q
-        psi_q += L_dq * over_d + L_qq * over_q
-    return W, psi_d, psi_q, L_dd, L_dq, L_qq
+    L_qd = L_dq
+    if over_d != 0.0:
+        L_dd, L_qd = map_.beyond[0], 0.0
+        W += (psi_d + 0.5 * L_dd * over_d) * over_d
+        psi_d += L_dd * over_d
+    if over_q != 0.0:
+        L_qq, L_dq = map_.beyond[1], 0.0
+        W += (psi_q + 0.5 * L_qq * over_q) * over_q
+        psi_q += L_qq * over_q
+    return W, psi_d, psi_q, L_dd, L_dq, L_qd, L_qq
 
 
 class FluxMapFile(BaseModel):
@@ -222,13 +229,13 @@ class FluxMap:
 
     def flux(self, i_d: float, i_q: float) -> tuple[float, float]:
         """Flux linkage (psi_d, psi_q) (V s)."""
-        _, psi_d, psi_q, _, _, _ = co_energy(self.map_[0], i_d, i_q)
+        _, psi_d, psi_q, _, _, _, _ = co_energy(self.map_[0], i_d, i_q)
         return psi_d, psi_q
 
-    def inductances(self, i_d: float, i_q: float) -> tuple[float, float, float]:
-        """Incremental inductances (L_dd, L_dq, L_qq) (H)."""
-        _, _, _, L_dd, L_dq, L_qq = co_energy(self.map_[0], i_d, i_q)
-        return L_dd, L_dq, L_qq
+    def inductances(self, i_d: float, i_q: float) -> NDArray[np.float64]:
+        """Incremental inductances [[L_dd, L_dq], [L_qd, L_qq]] (H)."""
+        _, _, _, L_dd, L_dq, L_qd, L_qq = co_energy(self.map_[0], i_d, i_q)
+        return np.array([[L_dd, L_dq], [L_qd, L_qq]])
 
     def current(self, psi_d: float, psi_q: float, *, start: complex = 0j) -> tuple[float, float]:
         """The inverse map: current (i_d, i_q) (A) of a flux linkage, by damped Newton steps.
@@ -245,8 +252,7 @@ class FluxMap:
         for _ in range(100):
             if np.abs(e).max() < 1e-14:
                 break
-            L_dd, L_dq, L_qq = self.inductances(i[0], i[1])
-            move = np.linalg.solve([[L_dd, L_dq], [L_dq, L_qq]], -e)
+            move = np.linalg.solve(self.inductances(i[0], i[1]), -e)
             for _ in range(30):
                 e_next = error(i + move)
                 if np.linalg.norm(e_next) < np.linalg.norm(e):
@@ -332,8 +338,8 @@ def fit(file: FluxMapFile, path: Path | str = "flux map") -> FluxMap:
             f"i_q = {i_q[q]:g} A; at most {_TOLERANCE:.0%} of the largest flux "
             f"({_TOLERANCE * scale:.3g} V s) is accepted"
         )
-    _check_monotone(map_, path)
-    _, psi_f, _, _, _, _ = co_energy(map_[0], 0.0, 0.0)
+    map_["beyond"] = _smallest_inductances(map_, path)
+    _, psi_f, *_ = co_energy(map_[0], 0.0, 0.0)
     return FluxMap(map_, psi_f, residual)
 
 
@@ -378,8 +384,12 @@ def _collocation(
     return basis(points), basis(points, 1)
 
 
-def _check_monotone(map_: NDArray[np.void], path: Path | str) -> None:
-    """Refuse a map in which more current does not always give more flux, in any direction."""
+def _smallest_inductances(map_: NDArray[np.void], path: Path | str) -> tuple[float, float]:
+    """Smallest L_dd and L_qq in a map (H).
+
+    Refuses one in which more current does not always give more flux, in any direction.
+    """
+    smallest_d = smallest_q = math.inf
     axes = []
     for axis in range(2):
         start, rate = map_["start"][0, axis], map_["rate"][0, axis]
@@ -387,7 +397,8 @@ def _check_monotone(map_: NDArray[np.void], path: Path | str) -> None:
         axes.append(start + np.arange(_CHECKS_PER_CELL * cells + 1) / (_CHECKS_PER_CELL * rate))
     for i_d in axes[0]:
         for i_q in axes[1]:
-            _, _, _, L_dd, L_dq, L_qq = co_energy(map_[0], i_d, i_q)
+            _, _, _, L_dd, L_dq, _, L_qq = co_energy(map_[0], i_d, i_q)
+            smallest_d, smallest_q = min(smallest_d, L_dd), min(smallest_q, L_qq)
             if not (L_dd > 0.0 and L_qq > 0.0 and L_dd * L_qq > L_dq * L_dq):
                 raise FileError(
                     f"{path}: the flux map is not monotone, so it has no inverse: near "
@@ -395,3 +406,4 @@ def _check_monotone(map_: NDArray[np.void], path: Path | str) -> None:
                     f"L_dd = {L_dd:.3g}, L_qq = {L_qq:.3g}, L_dq = {L_dq:.3g} H; L_dd and L_qq "
                     "must be above 0 and L_dq^2 below L_dd L_qq"
                 )
+    return smallest_d, smallest_q

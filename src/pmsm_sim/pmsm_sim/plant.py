@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pmsm_sim import motor
-from pmsm_sim.columns import FIRST_ENERGY, INTEGRATED
+from pmsm_sim.columns import ENERGIES
 from pmsm_sim.flux_map import co_energy
 from pmsm_sim.general import integrate
 from pmsm_sim.ideal import integrate_ideal
@@ -103,7 +103,7 @@ def latch(st_, cmd_):
 @kernel
 def _describe_general(par, st, c, s, ds):
     """The part of the truth that only the general model knows."""
-    psi_d, psi_q, turn_d, turn_q, _, _, _ = flux(par, st.i_d, st.i_q, c, s)
+    psi_d, psi_q, turn_d, turn_q, _, _, _, _ = flux(par, st.i_d, st.i_q, c, s)
     ds.torque = (
         1.5 * par.n_p * (psi_d * st.i_q - psi_q * st.i_d + turn_d * st.i_d + turn_q * st.i_q)
     )
@@ -326,10 +326,10 @@ class Plant:
             Counted by the general model only: valid if it has run from the start.
         """
         par, st = self.par[0], self.st[0]
-        flowed = dict(zip(INTEGRATED[FIRST_ENERGY:], map(float, st["energy"]), strict=True))
+        flowed = dict(zip(ENERGIES, map(float, st["energy"]), strict=True))
         i_d, i_q = float(st["i_d"]), float(st["i_q"])
         if par["saturates"]:
-            W, psi_d, psi_q, _, _, _ = co_energy(par["map"], i_d, i_q)
+            W, psi_d, psi_q, *_ = co_energy(par["map"], i_d, i_q)
             W_0 = co_energy(par["map"], 0.0, 0.0)[0]
             field = 1.5 * (psi_d * i_d + psi_q * i_q - (W - W_0))
         else:

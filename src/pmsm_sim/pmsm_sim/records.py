@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pmsm_sim.bridge import BRIDGE, ELECTRIC
-from pmsm_sim.columns import FIRST_ENERGY, N_INTEGRATED, N_ROW
+from pmsm_sim.columns import ENERGIES, N_ROW
 from pmsm_sim.parts import PARTS
 
 # The instant where a step starts, that where it ends, and another that is looked at; four
@@ -35,10 +35,11 @@ PLANT_STATE = np.dtype(
         ("period", np.uint64),  # the period that begins now
         ("energy_in", np.float64),  # from the DC link since the start (J)
         ("general_before", np.bool_),  # it ran in the period before, so what only it knows holds
-        ("energy", np.float64, (N_INTEGRATED - FIRST_ENERGY,)),  # (J) since the start
+        ("energy", np.float64, (len(ENERGIES),)),  # (J) since the start
         *(field for part in PARTS for field in part.state),
         ("bridge", BRIDGE),
         ("electric", ELECTRIC),
+        ("events", np.int64),  # times the conduction changed by itself in the period before
         ("work", np.float64, (WORK_ROWS, N_ROW)),  # of the general model
     ],
     align=True,

@@ -20,8 +20,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from pmsm_sim import columns as col
 from pmsm_sim.bridge import induced
-from pmsm_sim.columns import column
 from pmsm_sim.frames import stationary
 from pmsm_sim.ideal import small_rotation
 from pmsm_sim.parts.dc_link import charge
@@ -30,21 +30,6 @@ from pmsm_sim.parts.mechanics import accelerate, move
 from pmsm_sim.parts.sensors import low_pass
 from pwm_node.compiled import inlined, kernel
 
-_I_D, _I_Q = column("i_d"), column("i_q")
-_W_M, _TURN_M, _U_DC = column("w_M"), column("turn_M"), column("u_dc")
-_W_L, _TWIST, _TAU_BRAKE = column("w_L"), column("twist"), column("tau_brake")
-_SUPPLY, _DC, _INVERTER = column("supply"), column("dc"), column("inverter")
-_COPPER, _IRON, _FRICTION = column("copper"), column("iron"), column("friction")
-_LOAD, _CHOPPER = column("load"), column("chopper")
-_I_F_ALPHA, _I_F_BETA = column("i_f_alpha"), column("i_f_beta")
-_C, _S, _TAU_M = column("c"), column("s"), column("tau_M")
-_PSI_ALPHA, _PSI_BETA = column("psi_alpha"), column("psi_beta")
-_I_ALPHA, _I_BETA = column("i_alpha"), column("i_beta")
-_PSI_D, _PSI_Q = column("psi_d"), column("psi_q")
-_L_DD, _L_DQ, _L_QQ = column("L_dd"), column("L_dq"), column("L_qq")
-
-# Up to this part of the longest step the third order is enough.
-_SHORT = 0.05
 # Where Newton's method on a flux map ends (cells of the map): its error within a step matters by
 # the small R i only, but at its end it is that of the current.
 _ROUGH, _EXACT = 1e-4, 1e-7
@@ -58,7 +43,8 @@ def _stepper(full: bool) -> Callable[..., Any]:
         """What follows from the state y at one instant.
 
         `near` is the same at a neighbouring instant, in the rotor frame: i_d, i_q, psi_d, psi_q,
-        L_dd, L_dq, L_qq. c_0 and s_0 belong to the angle at `turn_0`. `per_L` are 1 / L_d, 1 / L_q.
+        L_dd, L_dq, L_qd, L_qq. c_0 and s_0 belong to the angle at `turn_0`. `per_L` are 1 / L_d,
+        1 / L_q.
 
         Returns i_alpha, i_beta, tau_M; c, s; what is near for the next.
         """
@@ -77,7 +63,7 @@ def _stepper(full: bool) -> Callable[..., Any]:
             tau_M = 1.5 * par.n_p * tau + cogging(par, theta_M + y[3])
         else:
             i_d, i_q = (psi_d - par.psi_f) * per_L[0], psi_q * per_L[1]
-            now = (i_d, i_q, psi_d, psi_q, near[4], near[5], near[6])
+            now = (i_d, i_q, psi_d, psi_q, near[4], near[5], near[6], near[7])
             i_alpha, i_beta = stationary(i_d, i_q, c, s)
             tau_M = 1.5 * par.n_p * (y[0] * i_beta - y[1] * i_alpha)
         return (i_alpha, i_beta, tau_M), (c, s), now
@@ -191,47 +177,55 @@ def _stepper(full: bool) -> Callable[..., Any]:
         """Energies of row b: those of row a, and what the sums p make."""
         if full:
             load, supply, dc = p[7], p[8], p[9]
-            b[_CHOPPER] = a[_CHOPPER] + p[10]
+            b[col.CHOPPER] = a[col.CHOPPER] + p[10]
         else:
-            load = par.tau_L * (b[_TURN_M] - a[_TURN_M])
-            dc = 1.5 * a[_U_DC] * (br.rail[0] * p[0] + br.rail[1] * p[1])
+            load = par.tau_L * (b[col.TURN_M] - a[col.TURN_M])
+            dc = 1.5 * a[col.U_DC] * (br.rail[0] * p[0] + br.rail[1] * p[1])
             supply = dc
-            b[_CHOPPER] = a[_CHOPPER]
+            b[col.CHOPPER] = a[col.CHOPPER]
         lost = br.r[0] * p[2] + 2.0 * br.r[1] * p[3] + br.r[2] * p[4]
         lost -= br.drop[0] * p[0] + br.drop[1] * p[1]
-        b[_SUPPLY] = a[_SUPPLY] + supply
-        b[_DC] = a[_DC] + dc
-        b[_INVERTER] = a[_INVERTER] + 1.5 * lost
-        b[_COPPER] = a[_COPPER] + 1.5 * par.R_s * (p[2] + p[4])
-        b[_IRON] = a[_IRON] + 1.5 * par.iron_conductance * p[5]
-        b[_FRICTION] = a[_FRICTION] + p[6]
-        b[_LOAD] = a[_LOAD] + load
+        b[col.SUPPLY] = a[col.SUPPLY] + supply
+        b[col.DC] = a[col.DC] + dc
+        b[col.INVERTER] = a[col.INVERTER] + 1.5 * lost
+        b[col.COPPER] = a[col.COPPER] + 1.5 * par.R_s * (p[2] + p[4])
+        b[col.IRON] = a[col.IRON] + 1.5 * par.iron_conductance * p[5]
+        b[col.FRICTION] = a[col.FRICTION] + p[6]
+        b[col.LOAD] = a[col.LOAD] + load
 
     @kernel
-    def step(par, st, a, b, t, h):
-        """Step of length h (s) from row a at t (s) to row b."""
+    def step(par, st, a, b, t, h, short):
+        """Step of length h (s) from row a at t (s) to row b; of third order if it is `short`."""
         br, period, chopping, theta_M = st.bridge, st.period, st.chopping, st.theta_M
         y = (
-            a[_PSI_ALPHA],
-            a[_PSI_BETA],
-            a[_W_M],
-            a[_TURN_M],
-            a[_U_DC],
-            a[_W_L],
-            a[_TWIST],
-            a[_TAU_BRAKE],
+            a[col.PSI_ALPHA],
+            a[col.PSI_BETA],
+            a[col.W_M],
+            a[col.TURN_M],
+            a[col.U_DC],
+            a[col.W_L],
+            a[col.TWIST],
+            a[col.TAU_BRAKE],
         )
-        near = (a[_I_D], a[_I_Q], a[_PSI_D], a[_PSI_Q], a[_L_DD], a[_L_DQ], a[_L_QQ])
-        c, s, turn = a[_C], a[_S], y[3]
-        at_1 = (a[_I_ALPHA], a[_I_BETA], a[_TAU_M])
+        near = (
+            a[col.I_D],
+            a[col.I_Q],
+            a[col.PSI_D],
+            a[col.PSI_Q],
+            a[col.L_DD],
+            a[col.L_DQ],
+            a[col.L_QD],
+            a[col.L_QQ],
+        )
+        c, s, turn = a[col.C], a[col.S], y[3]
+        at_1 = (a[col.I_ALPHA], a[col.I_BETA], a[col.TAU_M])
         half, sixth = 0.5 * h, h / 6.0
         per_L, per_J = (1.0 / par.L_d, 1.0 / par.L_q), 1.0 / par.J
         k_1, p_1 = slope(par, br, per_J, chopping, period, t, y, at_1)
         y_2 = moved(y, half, k_1)
         at_2, _, near = node(par, per_L, theta_M, c, s, turn, y_2, near, _ROUGH)
         k_2, p_2 = slope(par, br, per_J, chopping, period, t + half, y_2, at_2)
-        filtered = par.filter_rate > 0.0
-        if h < _SHORT * par.h_general and not filtered:
+        if short:
             y_3 = moved(moved(y, 2.0 * h, k_2), -h, k_1)
             at_3, _, near = node(par, per_L, theta_M, c, s, turn, y_3, near, _ROUGH)
             k_3, p_3 = slope(par, br, per_J, chopping, period, t + h, y_3, at_3)
@@ -248,23 +242,32 @@ def _stepper(full: bool) -> Callable[..., Any]:
         y_end = moved(y, sixth, k)
         at, angle, near = node(par, per_L, theta_M, c, s, turn, y_end, near, _EXACT)
 
-        b[_PSI_ALPHA], b[_PSI_BETA], b[_W_M], b[_TURN_M] = y_end[0], y_end[1], y_end[2], y_end[3]
-        b[_U_DC], b[_W_L], b[_TWIST], b[_TAU_BRAKE] = y_end[4], y_end[5], y_end[6], y_end[7]
-        b[_I_D], b[_I_Q], b[_PSI_D], b[_PSI_Q] = near[0], near[1], near[2], near[3]
-        b[_L_DD], b[_L_DQ], b[_L_QQ] = near[4], near[5], near[6]
-        b[_I_ALPHA], b[_I_BETA], b[_TAU_M] = at
-        b[_C], b[_S] = angle
+        b[col.PSI_ALPHA], b[col.PSI_BETA], b[col.W_M], b[col.TURN_M] = (
+            y_end[0],
+            y_end[1],
+            y_end[2],
+            y_end[3],
+        )
+        b[col.U_DC], b[col.W_L], b[col.TWIST], b[col.TAU_BRAKE] = (
+            y_end[4],
+            y_end[5],
+            y_end[6],
+            y_end[7],
+        )
+        b[col.I_D], b[col.I_Q], b[col.PSI_D], b[col.PSI_Q] = near[0], near[1], near[2], near[3]
+        b[col.L_DD], b[col.L_DQ], b[col.L_QD], b[col.L_QQ] = near[4], near[5], near[6], near[7]
+        b[col.I_ALPHA], b[col.I_BETA], b[col.TAU_M] = at
+        b[col.C], b[col.S] = angle
         book(par, br, a, b, scaled(sixth, p))
-        if filtered:
-            _, _, start_alpha, start_beta = induced(par, br, y[4], at_1[0], at_1[1])
-            _, _, middle_alpha, middle_beta = induced(par, br, y_3[4], at_3[0], at_3[1])
+        if par.filter_rate > 0.0:
             _, _, end_alpha, end_beta = induced(par, br, y_end[4], at[0], at[1])
-            b[_I_F_ALPHA], b[_I_F_BETA] = low_pass(
+            b[col.I_F_ALPHA], b[col.I_F_BETA] = low_pass(
                 par,
                 h,
-                (a[_I_F_ALPHA], a[_I_F_BETA]),
-                (start_alpha, start_beta),
-                (middle_alpha, middle_beta),
+                (a[col.I_F_ALPHA], a[col.I_F_BETA]),
+                (p_1[0], p_1[1]),
+                # the errors of the two stages cancel
+                (0.5 * (p_2[0] + p_3[0]), 0.5 * (p_2[1] + p_3[1])),
                 (end_alpha, end_beta),
             )
 

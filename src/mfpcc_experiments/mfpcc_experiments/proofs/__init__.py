@@ -1,3 +1,3 @@
-"""Proofs of the simulated drive (`validation`) and of its behaviour under faults (`faults`)."""
+"""Proofs of the simulated drive (`validation`, over the drives of `effects`), also under faults."""
 
-__all__ = ["faults", "validation"]
+__all__ = ["effects", "faults", "validation"]

@@ -7,8 +7,7 @@ compared, the result, and the limit it must keep. `docs/validation.md` shows the
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,17 +15,24 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from mfpcc_msgs.msg import DriveState, PhaseFeedback
 from numpy.typing import NDArray
 
+from mfpcc_experiments.proofs.effects import ALL_ON, COSTED, SETS
 from mfpcc_experiments.reporting import COLOURS, STYLE
 from mfpcc_experiments.running import Engine, Trace
 from pmsm_sim import flux_map
 from pmsm_sim.parameters import TABLE as PLANT
 from pmsm_sim.plant import Plant, advance
-from pmsm_sim.reference import ReferencePlant
-from pwm_node.compiled import kernel
-from pwm_node.wire import fixed_dtype
+from pmsm_sim.reference import ReferenceDrive, ReferencePlant
+
+# How far the plant may be from an independent integration.
+_CURRENT_LIMIT = 1e-6  # (A)
+_SPEED_LIMIT = 1e-8  # (rad/s)
+# The same behind a rectifier, whose diodes switch on their own, or with legs that do.
+_REALISTIC_SPEED_LIMIT = 1e-6
+# A realistic drive is held against it for at least so many periods, and for this part of the time
+# of a simple one: there each period takes long.
+_FEW_PERIODS, _REALISTIC_PART = 10, 0.1
 
 _PHASES = ("a", "b", "c")
 _SHIFT = np.array([0.0, 2.0, 4.0]) * np.pi / 3.0
@@ -37,94 +43,6 @@ MACHINES: Mapping[str, Mapping[str, Any]] = {
     "IPMSM": {"motor": "ipmsm"},
     "harmonic": {"motor": "seed_750", "machine.emf_5": 0.04, "machine.emf_7": -0.03},
     "saturated": {"motor": "ipmsm", "machine.flux_map": "ipmsm_saturated"},
-}
-
-#: Every effect by itself, in a strength met in practice.
-EFFECTS: Mapping[str, Mapping[str, Any]] = {
-    "none": {},
-    "current noise": {"noise.current_rms": 0.0245},
-    "ADC 12 bit": {"sensor.adc_bits": 12},
-    "encoder 2500 lines": {"sensor.encoder_lines": 2500},
-    "duties rounded to 100 MHz": {"inverter.timer_clock": 1e8},
-    "temperature": {"drift.temperature": 80.0, "drift.time_constant": 10.0},
-    "dead time 2 us": {"inverter.dead_time": 2e-6},
-    "on-state drops": {
-        "inverter.switch_voltage": 1.1,
-        "inverter.switch_resistance": 0.05,
-        "inverter.diode_voltage": 0.9,
-        "inverter.diode_resistance": 0.03,
-    },
-    "back-EMF harmonics": {"machine.emf_5": 0.04, "machine.emf_7": -0.03},
-    "cogging": {"machine.cogging_torque": 0.1},
-    "iron loss": {"machine.iron_loss_resistance": 400.0},
-    "saturation": {"motor": "ipmsm", "machine.flux_map": "ipmsm_saturated"},
-    "rectifier": {"dc_link.kind": "rectifier"},
-    "elastic shaft": {"load.inertia": 3e-3, "load.shaft_stiffness": 300.0},
-    "friction, quadratic load": {"load.coulomb_friction": 0.1, "load.quadratic": 1e-4},
-    "current bandwidth 20 kHz": {"sensor.current_bandwidth": 2e4},
-}
-
-#: What is on together in realistic drives.
-SETS: Mapping[str, Mapping[str, Any]] = {
-    "servo": {
-        "inverter.dead_time": 2e-6,
-        "inverter.switch_voltage": 1.1,
-        "inverter.switch_resistance": 0.05,
-        "inverter.diode_voltage": 0.9,
-        "inverter.diode_resistance": 0.03,
-        "sensor.encoder_lines": 2500,
-        "sensor.adc_bits": 12,
-        "noise.current_rms": 0.0245,
-        "load.coulomb_friction": 0.1,
-        "load.viscous_friction": 1e-3,
-    },
-    "traction": {
-        "motor": "ipmsm",
-        "machine.flux_map": "ipmsm_saturated",
-        "machine.iron_loss_resistance": 300.0,
-        "machine.emf_5": 0.03,
-        "machine.emf_7": 0.02,
-        "inverter.dead_time": 2e-6,
-        "dc_link.kind": "rectifier",
-    },
-}
-
-#: All that can be on together, for the balance of energy.
-ALL_ON: Mapping[str, Any] = {
-    "motor": "ipmsm",
-    "machine.flux_map": "ipmsm_saturated",
-    "machine.emf_5": 0.03,
-    "machine.emf_7": 0.02,
-    "machine.cogging_torque": 0.1,
-    "machine.iron_loss_resistance": 300.0,
-    "inverter.dead_time": 2e-6,
-    "inverter.switch_voltage": 1.1,
-    "inverter.switch_resistance": 0.05,
-    "inverter.diode_voltage": 0.9,
-    "inverter.diode_resistance": 0.03,
-    "dc_link.kind": "rectifier",
-    "dc_link.capacitance": 5e-4,
-    "load.coulomb_friction": 0.1,
-    "load.viscous_friction": 1e-3,
-    "load.quadratic": 5e-5,
-    "load.inertia": 3e-3,
-    "load.shaft_stiffness": 300.0,
-    "load.shaft_damping": 0.02,
-}
-
-#: What the table of costs goes through: every effect by itself, and sets of them.
-COSTED: Mapping[str, Mapping[str, Any]] = {
-    **EFFECTS,
-    **SETS,
-    "everything": {
-        **SETS["servo"],
-        **ALL_ON,
-        "sensor.current_bandwidth": 2e4,
-        "sensor.encoder_latency": 2e-5,
-        "inverter.timer_clock": 1e8,
-        "drift.temperature": 80.0,
-        "drift.time_constant": 10.0,
-    },
 }
 
 
@@ -207,41 +125,96 @@ def _save(figure: Figure, folder: Path, name: str) -> None:
 
 def integration(folder: Path, *, duration: float, tick: Callable[[float], None]) -> list[Result]:
     """Closed loop against DOP853 (rtol 1e-11) on independently written equations."""
-    results = []
+    results, courses = [], {}
+    for name, values in MACHINES.items():
+        engine = _closed_loop(values)
+        plant = engine.plant
+        reference = ReferencePlant(plant, _flux_map(values))
+        periods = round(duration / float(plant.par["T_s"][0]))
+        off = np.empty((periods, 2))
+        for k in range(periods):
+            next(engine.run(1))
+            i, w_M = reference.period(plant.st["duty"][0])
+            st = plant.st[0]
+            off[k] = abs(i - complex(st["i_d"], st["i_q"])), abs(w_M - float(st["w_M"]))
+            if k % 20 == 0:
+                tick(20 / periods / len(MACHINES))
+        courses[name] = off
+        results += _against_dop853(name, off.max(axis=0), _SPEED_LIMIT)
+    _draw_differences(courses, folder, "integration", _SPEED_LIMIT)
+    return results
+
+
+def realistic(folder: Path, *, duration: float, tick: Callable[[float], None]) -> list[Result]:
+    """The same for realistic sets of effects (rtol 1e-10), and for what only they have."""
+    results, courses = [], {}
+    drives = {name: COSTED[name] for name in (*SETS, "everything")}
+    for name, values in drives.items():
+        engine = _closed_loop(values)
+        plant = engine.plant
+        reference = ReferenceDrive(plant, _flux_map(values))
+        periods = max(_FEW_PERIODS, round(duration / float(plant.par["T_s"][0])))
+        off = np.empty((periods, 5))
+        for k in range(periods):
+            next(engine.run(1))
+            y = reference.period(plant.st["duty"][0])
+            st = plant.st[0]
+            off[k] = (
+                abs(complex(y[0], y[1]) - complex(st["i_d"], st["i_q"])),
+                abs(y[2] - st["w_M"]),
+                abs(y[4] - st["u_dc"]),
+                abs(y[5] - st["w_L"]) if plant.par["shaft"][0] else 0.0,
+                abs(complex(y[7], y[8]) - complex(*st["i_sampled"])),
+            )
+            tick(1 / periods / len(drives))
+        courses[name] = off
+        i, w_M, u_dc, w_L, i_f = off.max(axis=0)
+        results += _against_dop853(name, (i, max(w_M, w_L)), _REALISTIC_SPEED_LIMIT)
+        if plant.par["rectifier"][0]:
+            results.append(Result(f"{name}: DC-link voltage against DOP853", u_dc, 1e-5, "V"))
+        if plant.par["filter_rate"][0] > 0.0:
+            results.append(Result(f"{name}: sensed current against DOP853", i_f, 1e-5, "A"))
+    _draw_differences(courses, folder, "realistic", _REALISTIC_SPEED_LIMIT)
+    return results
+
+
+def _flux_map(values: Mapping[str, Any]) -> flux_map.FluxMap | None:
+    chosen = values.get("machine.flux_map")
+    return flux_map.load(chosen) if chosen else None
+
+
+def _against_dop853(
+    name: str, off: Sequence[float] | NDArray[np.float64], speed_limit: float
+) -> list[Result]:
+    return [
+        Result(f"{name}: current against DOP853", off[0], _CURRENT_LIMIT, "A"),
+        Result(f"{name}: speed against DOP853", off[1], speed_limit, "rad/s"),
+    ]
+
+
+def _draw_differences(
+    courses: Mapping[str, NDArray[np.float64]], folder: Path, file_name: str, speed_limit: float
+) -> None:
+    """Differences of current and speed, the first two columns, from period to period."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.4, 2.6), layout="constrained")
-        left, right = figure.subplots(1, 2)
-        for colour, (name, values) in zip(COLOURS, MACHINES.items(), strict=False):
-            engine = _closed_loop(values)
-            plant = engine.plant
-            chosen = values.get("machine.flux_map")
-            reference = ReferencePlant(plant, flux_map.load(chosen) if chosen else None)
-            periods = round(duration / float(plant.par["T_s"][0]))
-            off_i, off_w = np.empty(periods), np.empty(periods)
-            for k in range(periods):
-                next(engine.run(1))
-                i, w_M = reference.period(plant.st["duty"][0])
-                st = plant.st[0]
-                off_i[k] = abs(i - complex(st["i_d"], st["i_q"]))
-                off_w[k] = abs(w_M - float(st["w_M"]))
-                if k % 20 == 0:
-                    tick(20 / periods / len(MACHINES))
-            t = 1e3 * (np.arange(periods) + 1) * float(plant.par["T_s"][0])
-            left.semilogy(t, np.maximum(off_i, 1e-14), color=colour, label=name)
-            right.semilogy(t, np.maximum(off_w, 1e-14), color=colour, label=name)
-            results.append(Result(f"{name}: current against DOP853", off_i.max(), 1e-6, "A"))
-            results.append(Result(f"{name}: speed against DOP853", off_w.max(), 1e-8, "rad/s"))
-        for axes, limit, what in (
-            (left, 1e-6, "difference of the current (A)"),
-            (right, 1e-8, "difference of the speed (rad/s)"),
+        for k, (axes, limit, what) in enumerate(
+            zip(
+                figure.subplots(1, 2),
+                (_CURRENT_LIMIT, speed_limit),
+                ("difference of the current (A)", "difference of the speed (rad/s)"),
+                strict=True,
+            )
         ):
+            for colour, (name, off) in zip(COLOURS, courses.items(), strict=False):
+                t = 0.1 * (np.arange(len(off)) + 1)  # all run at 10 kHz
+                axes.semilogy(t, np.maximum(off[:, k], 1e-14), color=colour, label=name)
             axes.axhline(limit, color="black", linestyle="--", linewidth=0.8)
             axes.set(xlabel="time (ms)", ylabel=what, ylim=(1e-14, 1e-5))
-        left.legend(loc="lower right", ncols=2)
-        left.annotate("limit", (0.02, 1.3e-6), xycoords=("axes fraction", "data"), fontsize=7)
-        right.annotate("limit", (0.02, 1.3e-8), xycoords=("axes fraction", "data"), fontsize=7)
-        _save(figure, folder, "integration")
-    return results
+            place = 0.02, 1.3 * limit
+            axes.annotate("limit", place, xycoords=("axes fraction", "data"), fontsize=7)
+        figure.axes[0].legend(loc="lower right", ncols=2)
+        _save(figure, folder, file_name)
 
 
 def blocked_gates(folder: Path) -> list[Result]:
@@ -366,10 +339,13 @@ def saturation(folder: Path) -> list[Result]:
             worst = max(worst, abs(back[0] - d), abs(back[1] - q))
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.4, 2.3), layout="constrained")
-        for axes, k, title in zip(
-            figure.subplots(1, 3), (0, 2, 1), ("$L_{dd}$", "$L_{qq}$", "$L_{dq}$"), strict=True
+        for axes, (j, k), title in zip(
+            figure.subplots(1, 3),
+            ((0, 0), (1, 1), (0, 1)),
+            ("$L_{dd}$", "$L_{qq}$", "$L_{dq}$"),
+            strict=True,
         ):
-            shown = axes.contourf(grid, grid, 1e3 * L[:, :, k].T, 14, cmap="viridis")
+            shown = axes.contourf(grid, grid, 1e3 * L[:, :, j, k].T, 14, cmap="viridis")
             figure.colorbar(shown, ax=axes, shrink=0.9, format="%.3g")
             axes.set(xlabel="$i_d$ (A)", title=f"{title} (mH)")
             axes.grid(visible=False)
@@ -422,39 +398,6 @@ def _rotating(bench: Bench, u_more: float) -> Callable[[int], NDArray[np.float64
     return duty
 
 
-@kernel
-def _advance_many(par, st, feedback, state, i_abc, legs, n):  # type: ignore[no-untyped-def]
-    for _ in range(n):
-        st[0].latched = True
-        advance(par, st, feedback, state, i_abc, legs)
-
-
-def costs(*, repeats: int = 7, periods: int = 400) -> dict[str, float]:
-    """
-    Time of one period of the plant with effects, inside compiled code.
-
-    Returns
-    -------
-    dict
-        Microseconds by the names of `COSTED`: the best of several runs.
-    """
-    found = {}
-    feedback, state = np.zeros(1, fixed_dtype(PhaseFeedback)), np.zeros(1, fixed_dtype(DriveState))
-    nothing, no_legs = np.zeros(0), np.zeros(0, np.uint8)
-    for name, values in COSTED.items():
-        plant = Plant(PLANT.complete({"initial_speed_rpm": 750.0, "fault.react": False, **values}))
-        plant.par["J"] = 1e12  # the speed stays
-        plant.st["duty"] = [[0.53, 0.5, 0.48]]
-        start, best = plant.st.copy(), np.inf
-        for _ in range(repeats + 1):
-            plant.st[:] = start
-            begin = time.perf_counter()
-            _advance_many(plant.par, plant.st, feedback, state, nothing, no_legs, periods)
-            best = min(best, (time.perf_counter() - begin) / periods)
-        found[name] = 1e6 * best
-    return found
-
-
 def validate(
     folder: Path, *, duration: float = 0.2, tick: Callable[[float], None] = lambda _: None
 ) -> list[Result]:
@@ -464,7 +407,8 @@ def validate(
     Parameters
     ----------
     duration : float
-        Of the closed loop held against the independent integration (s).
+        Of the closed loop held against the independent integration (s); a tenth of it for realistic
+        drives.
     tick : callable
         Gets the share that is done.
     """
@@ -475,7 +419,9 @@ def validate(
         done += share
         tick(done)
 
-    results = integration(folder, duration=duration, tick=lambda share: tell(0.9 * share))
+    results = integration(folder, duration=duration, tick=lambda share: tell(0.6 * share))
+    part = _REALISTIC_PART * duration
+    results += realistic(folder, duration=part, tick=lambda share: tell(0.3 * share))
     for proof in (blocked_gates, dead_time, power_balance, saturation, dc_link):
         results += proof(folder)
         tell(0.02)

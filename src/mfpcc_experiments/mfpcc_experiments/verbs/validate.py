@@ -36,7 +36,7 @@ def command(out: Path, duration: float, costs: bool) -> None:
     from rich.table import Table
 
     from mfpcc_experiments.progress import progress_bar
-    from mfpcc_experiments.proofs import validation
+    from mfpcc_experiments.proofs import effects, validation
 
     out.mkdir(parents=True, exist_ok=True)
     with progress_bar() as begin:
@@ -53,7 +53,7 @@ def command(out: Path, duration: float, costs: bool) -> None:
     Console().print(table)
     if costs:
         table = Table("effect", "us per period", title="Cost of the plant, each effect by itself")
-        for name, cost in validation.costs().items():
+        for name, cost in effects.costs().items():
             table.add_row(name, f"{cost:.2f}")
         Console().print(table)
     click.echo(f"figures: {out}")

@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from pmsm_sim.columns import column
+from pmsm_sim import columns as col
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.parts.part import Part
 from pwm_node.compiled import inlined, kernel
 from pwm_node.parameters import Parameter
 
-_U_DC = column("u_dc")
 # Angle of the grid during which one pair of diodes carries the current (rad).
 _PULSE = math.pi / 3.0
+
+# Shorter than any step (s).
+_INSTANT = 1e-12
 
 PARAMETERS = (
     Parameter(
@@ -172,13 +174,13 @@ def begin_dc_link(par, st, y, fresh):
             st.chopping = True
         elif st.u_dc <= par.chopper_off:
             st.chopping = False
-    y[_U_DC] = st.u_dc
+    y[col.U_DC] = st.u_dc
 
 
 @kernel
 def end_dc_link(st, y):
     """State after a period."""
-    st.u_dc = y[_U_DC]
+    st.u_dc = y[col.U_DC]
 
 
 @kernel
@@ -186,6 +188,22 @@ def _rectified(par, t):
     """Voltage behind a three-phase diode bridge (V), six pulses per grid period."""
     pulses = par.grid_w * t / _PULSE
     return par.grid_peak * math.cos((pulses - math.floor(pulses) - 0.5) * _PULSE)
+
+
+@kernel
+def pulse_end(par, period, t):
+    """When the next pair of diodes takes over, after t (both s after the period began)."""
+    begin = period * par.T_s
+    n = math.floor(par.grid_w * (begin + t) / _PULSE) + 1.0
+    end = n * _PULSE / par.grid_w - begin
+    # one that ends within rounding has ended
+    return end if end > t + _INSTANT else end + _PULSE / par.grid_w
+
+
+@kernel
+def surplus(par, period, t, u_dc):
+    """Rectified voltage above that of the DC link (V): the diodes carry current while positive."""
+    return _rectified(par, period * par.T_s + t) - u_dc
 
 
 @inlined

@@ -231,20 +231,20 @@ def flux(par, i_d, i_q, c, s):
     -------
     psi_d, psi_q : flux linkage (V s)
     turn_d, turn_q : its derivative with respect to the electrical angle (V s/rad)
-    L_dd, L_dq, L_qq : incremental inductances (H)
+    L_dd, L_dq, L_qd, L_qq : incremental inductances (H), see `flux_map.co_energy`
     """
     if par.saturates:
-        _, psi_d, psi_q, L_dd, L_dq, L_qq = co_energy(par.map, i_d, i_q)
+        _, psi_d, psi_q, L_dd, L_dq, L_qd, L_qq = co_energy(par.map, i_d, i_q)
         psi_d += par.psi_shift
     else:
         psi_d, psi_q = par.psi_f + par.L_d * i_d, par.L_q * i_q
-        L_dd, L_dq, L_qq = par.L_d, 0.0, par.L_q
+        L_dd, L_dq, L_qd, L_qq = par.L_d, 0.0, 0.0, par.L_q
     turn_d = turn_q = 0.0
     if par.harmonics:
         more_d, more_q, turn_d, turn_q = harmonics(par, c, s)
         psi_d += more_d
         psi_q += more_q
-    return psi_d, psi_q, turn_d, turn_q, L_dd, L_dq, L_qq
+    return psi_d, psi_q, turn_d, turn_q, L_dd, L_dq, L_qd, L_qq
 
 
 @inlined
@@ -266,22 +266,23 @@ def current(par, per_L, psi_d, psi_q, near, last_move):
     Returns
     -------
     tuple
-        i_d, i_q (A), psi_d, psi_q (V s), and the incremental inductances L_dd, L_dq, L_qq (H).
+        i_d, i_q (A), psi_d, psi_q (V s), and the incremental inductances L_dd, L_dq, L_qd,
+        L_qq (H).
     """
     if not par.saturates:
         i_d, i_q = (psi_d - par.psi_f) * per_L[0], psi_q * per_L[1]
-        return i_d, i_q, psi_d, psi_q, par.L_d, 0.0, par.L_q
-    i_d, i_q, at_d, at_q, L_dd, L_dq, L_qq = near
+        return i_d, i_q, psi_d, psi_q, par.L_d, 0.0, 0.0, par.L_q
+    i_d, i_q, at_d, at_q, L_dd, L_dq, L_qd, L_qq = near
     small_d, small_q = last_move / par.map.rate[0], last_move / par.map.rate[1]
     for n in range(_MOST_MOVES):
         off_d, off_q = psi_d - at_d, psi_q - at_q
-        inverse = 1.0 / (L_dd * L_qq - L_dq * L_dq)
+        inverse = 1.0 / (L_dd * L_qq - L_dq * L_qd)
         move_d = (L_qq * off_d - L_dq * off_q) * inverse
-        move_q = (L_dd * off_q - L_dq * off_d) * inverse
+        move_q = (L_dd * off_q - L_qd * off_d) * inverse
         i_d += move_d
         i_q += move_q
         if n > 0 and abs(move_d) < small_d and abs(move_q) < small_q:
             break
-        _, at_d, at_q, L_dd, L_dq, L_qq = co_energy(par.map, i_d, i_q)
+        _, at_d, at_q, L_dd, L_dq, L_qd, L_qq = co_energy(par.map, i_d, i_q)
         at_d += par.psi_shift
-    return i_d, i_q, psi_d, psi_q, L_dd, L_dq, L_qq
+    return i_d, i_q, psi_d, psi_q, L_dd, L_dq, L_qd, L_qq

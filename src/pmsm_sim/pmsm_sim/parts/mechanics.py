@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pmsm_sim.columns import column
+from pmsm_sim import columns as col
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.parts.part import MOST_STEPS, Part
 from pwm_node.compiled import inlined, kernel
@@ -24,8 +24,6 @@ from pwm_node.units import RPM
 _LOAD_KINDS = ("torque", "brake", "speed")
 _BRAKE, _SPEED = _LOAD_KINDS.index("brake"), _LOAD_KINDS.index("speed")
 
-_W_M = column("w_M")
-_W_L, _TWIST, _TAU_BRAKE = column("w_L"), column("twist"), column("tau_brake")
 
 # Speed below which friction is not fully there (rad/s; 1 r/min).
 _STANDSTILL = 0.1
@@ -307,21 +305,21 @@ def shown_load(par, st):
 @kernel
 def begin_mechanics(par, st, y, fresh):
     """State at the start of a period; `fresh`: the general model did not run in that before."""
-    y[_W_M] = par.w_imposed if par.imposed else st.w_M
+    y[col.W_M] = par.w_imposed if par.imposed else st.w_M
     if fresh:
-        st.w_L = y[_W_M]
+        st.w_L = y[col.W_M]
         st.twist = 0.0
         st.tau_brake = par.tau_L
     if par.brake_rate == 0.0:
         st.tau_brake = par.tau_L
-    y[_W_L], y[_TWIST], y[_TAU_BRAKE] = st.w_L, st.twist, st.tau_brake
+    y[col.W_L], y[col.TWIST], y[col.TAU_BRAKE] = st.w_L, st.twist, st.tau_brake
 
 
 @kernel
 def end_mechanics(st, y):
     """State after a period, but for the angle."""
-    st.w_M = y[_W_M]
-    st.w_L, st.twist, st.tau_brake = y[_W_L], y[_TWIST], y[_TAU_BRAKE]
+    st.w_M = y[col.W_M]
+    st.w_L, st.twist, st.tau_brake = y[col.W_L], y[col.TWIST], y[col.TAU_BRAKE]
 
 
 @inlined

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pmsm_sim.columns import column
+from pmsm_sim import columns as col
 from pmsm_sim.frames import phases, stationary
 from pmsm_sim.motor import MotorPars
 from pmsm_sim.noise import normal
@@ -24,7 +24,6 @@ from pwm_node.parameters import Parameter
 
 _TWO_PI = 2.0 * math.pi
 
-_I_F_ALPHA, _I_F_BETA = column("i_f_alpha"), column("i_f_beta")
 
 PARAMETERS = (
     Parameter(
@@ -200,7 +199,7 @@ def begin_low_pass(par, st, y, c, s, fresh):
     """State at the start of a period; c and s are cosine and sine of the electrical angle."""
     if fresh:
         st.i_f_alpha, st.i_f_beta = stationary(st.i_d, st.i_q, c, s)
-    y[_I_F_ALPHA], y[_I_F_BETA] = st.i_f_alpha, st.i_f_beta
+    y[col.I_F_ALPHA], y[col.I_F_BETA] = st.i_f_alpha, st.i_f_beta
 
 
 @kernel
@@ -242,7 +241,7 @@ def low_pass(par, h, i_f, start, middle, end):
 def shown(par, y, i_alpha, i_beta):
     """What the current sensors show of i (A, stationary frame)."""
     if par.filter_rate > 0.0:
-        return y[_I_F_ALPHA], y[_I_F_BETA]
+        return y[col.I_F_ALPHA], y[col.I_F_BETA]
     return i_alpha, i_beta
 
 

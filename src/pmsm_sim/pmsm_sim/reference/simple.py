@@ -1,14 +1,12 @@
-"""The same drive a second time, to check the first: other equations, other method, and slow.
+"""A simple drive: ideal switches, stiff DC link, one mass, load torque and viscous friction.
 
-Nothing of the plant's model is used here but the values of its parameters, and the flux map. The
-state is the flux linkage in the stationary frame, magnets and their harmonics are written phase by
-phase, and DOP853 integrates from one switching instant to the next with tight tolerances:
+The state is the flux linkage in the stationary frame, magnets and their harmonics are written phase
+by phase, and DOP853 integrates from one switching instant to the next with tight tolerances:
 
     dpsi_alpha_beta / dt = u_alpha_beta - R_s i_alpha_beta
     tau = n_p sum_x i_x dpsi_magnets,x / dtheta + 1.5 n_p (L_d - L_q) i_d i_q
 
-Ideal switches, stiff DC link, one mass, load torque and viscous friction; harmonics of the magnets
-or a flux map.
+The magnets may have harmonics, or the machine a flux map.
 """
 
 from __future__ import annotations
