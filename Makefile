@@ -68,6 +68,17 @@ SOAK_MINUTES ?= 60
 soak: build  ## the drive without rest: lost periods, faults, memory (SOAK_MINUTES=10 is shorter)
 	$(IN_ENVIRONMENT) python bench/soak.py --minutes $(SOAK_MINUTES) $(ARGS)
 
+# Only the packages of it that are used: others of those it names come without a wheel.
+MUTANTS := build/.mutants
+
+.PHONY: mutants
+mutants:  ## small changes of the numeric core, and whether the tests notice (ARGS='--sample 40 search')
+	@$(SET_UP) workspace development
+	@$(IN_ENVIRONMENT) uv pip install --quiet --no-deps --require-hashes --only-binary :all: \
+	    --target $(MUTANTS) --requirements requirements/mutants.txt
+	$(IN_ENVIRONMENT) PYTHONPATH="$(MUTANTS)$${PYTHONPATH:+:$$PYTHONPATH}" \
+	    python -W ignore tools/mutants.py $(ARGS)
+
 .PHONY: lint
 lint:  ## ruff and mypy
 	@$(SET_UP) development

@@ -300,7 +300,8 @@ def slope(memory: NDArray[np.float64]) -> Slope | None:
 
 def report(soak: Soak, plant: Plant, lost: int, wall: float, bag: Path | None) -> int:
     """Print what was seen; returns the exit code."""
-    done = max(plant.period, 0)
+    # stopped early, the period at hand is one of them
+    done = plant.period + (not plant.finished.done())
     simulated = done / plant.values["pwm_frequency"]
     lost += int(plant.core.st["missed"][0])
     memory = soak.memory[: soak.samples]
@@ -383,7 +384,7 @@ def main() -> int:
                 answers = ("duty_command", "lut_diagnostics")
                 nodes.append(Recorder(writer, topics=answers, context=context))
             soak.controller = stack.enter_context(
-                _process(arguments.seed, recorders=len(nodes) - 1)
+                _process(arguments.seed, recorders=len(nodes) - 1, **PATIENT)
             )
         else:
             nodes.append(make_controller(arguments.seed, {}, context=context))

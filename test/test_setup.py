@@ -154,7 +154,7 @@ def test_locks_hold_names_versions_and_hashes_only():
     for file in sorted((ROOT / "requirements").iterdir()):
         assert "://" not in file.read_text(), file.name
     locks = {file.stem: locked(file) for file in (ROOT / "requirements").glob("*.txt")}
-    assert {"installer", "seed", "run", "ros", "sweep", "dev"} == locks.keys()
+    assert {"installer", "seed", "run", "ros", "sweep", "dev", "mutants"} == locks.keys()
     assert all(locks.values())
     for one, other in itertools.combinations(locks, 2):  # they are installed together
         for name in locks[one].keys() & locks[other].keys():
@@ -182,7 +182,7 @@ def test_all_that_tests_and_tools_import_is_required():
     used = {name for folder in folders for name in imports(folder)} - ours
     names = {"yaml": "pyyaml", "markdown_it": "markdown_it_py", "launch": "", "launch_ros": ""}
     used = {names.get(name, name) for name in used}
-    assert used - {""} <= required("run", "build", "sweep", "dev", "seed")
+    assert used - {""} <= required("run", "build", "sweep", "dev", "seed", "mutants")
 
 
 def test_a_demonstration_needs_nothing_that_only_development_does():

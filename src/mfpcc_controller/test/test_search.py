@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mfpcc_controller import search
@@ -107,3 +107,28 @@ def test_leg_duties_make_the_mean_voltage(a, d_a, share):
     assert u == pytest.approx(out[0]["u"], abs=1e-12)
     # the zero vector is shared between V0 and V7
     assert 1.0 - duty.max() == pytest.approx(duty.min(), abs=1e-12)
+
+
+@given(x=st.builds(complex, number, number), saliency=st.floats(1.0, 4.0), turn=angle)
+def test_ranking_takes_the_two_best_of_every_second_vector(x, saliency, turn):
+    """Written down once more from its definition, right or wrong as the sector may be."""
+    G = gradients(saliency, turn)
+    costs = sorted(abs(x - G[j]) ** 2 for j in (1, 3, 5))
+    assume(min(costs[1] - costs[0], costs[2] - costs[1]) > 1e-9)  # of two that are equal, any
+    a, b, d_a, d_b = search.by_ranking(x, G[1], G[2])
+    first, second, _ = sorted((1, 3, 5), key=lambda j: abs(x - G[j]) ** 2)
+    between = {frozenset((1, 3)): (1, 2, 3), frozenset((3, 5)): (3, 4, 5)}
+    low, middle, high = between.get(frozenset((first, second)), (5, 6, 1))
+    assert (a, b) == ((low, middle) if first == low else (middle, high))
+    det = (G[a].conjugate() * G[b]).imag
+    wanted = [(x.conjugate() * G[b]).imag / det, (G[a].conjugate() * x).imag / det]
+    assert [d_a, d_b] == pytest.approx([max(share, 0.0) for share in wanted], abs=1e-9)
+
+
+def test_without_a_voltage_there_is_nothing_to_choose():
+    assert search.by_dwell(1.0 + 1.0j, 0j, 0j) == (1, 2, 0.0, 0.0)
+    assert search.by_ranking(1.0 + 1.0j, 0j, 0j)[2:] == (0.0, 0.0)
+    a, b, d_a, d_b = search.onto_hexagon(1.0 + 1.0j, 0j, 0j, 1)
+    assert b == a % 6 + 1 and d_a + d_b == 1.0
+    # an edge without length is a point
+    assert search._onto_edge(3.0 + 0.0j, 1.0 + 0.0j, 1.0 + 0.0j) == (0.0, 4.0)

@@ -119,6 +119,23 @@ def test_less_current_is_allowed_before_the_temperature_trips(bench, temperature
     assert drive.column("gates_on").all() == (share > 0.0)
 
 
+def test_at_the_limits_of_the_temperature(bench):
+    drive = bench(drift_temperature=125.0).run(2)
+    assert drive.feedback[-1]["derating"] == 0.0
+    assert drive.column("gates_on").all() and _codes(drive) == []
+    both = {"fault_derating_temperature": 130.0, "fault_overtemperature": 130.0}
+    drive = bench(drift_temperature=130.0, **both).run(2)
+    assert drive.feedback[-1]["derating"] == 1.0 and _codes(drive) == []
+    drive = bench(drift_temperature=130.1, fault_react=False, **both).run(2)
+    assert drive.feedback[-1]["derating"] == 0.0 and _codes(drive) == ["OVERTEMPERATURE"]
+
+
+def test_an_injected_warmth_comes_on_top(bench):
+    warm = {"fault_injection": True, "injections": ["0.0 1.0 temperature wrong 30"]}
+    drive = bench(drift_temperature=85.0, **warm).run(3)
+    assert drive.feedback[-1]["derating"] == pytest.approx(0.4)
+
+
 def test_gates_that_are_blocked_are_told_as_no_current_allowed(bench):
     drive = bench().run(2)
     drive.plant.stop()
