@@ -229,7 +229,13 @@ def test_a_paced_drive_waits_for_no_recorder(
     nodes = [start(*each, "--ros-args", "--params-file", str(file)) for each in programs]
     recorder = start("mfpcc_experiments", "record", "--out", str(tmp_path / "bag"))
     recorder.wait_for("recording into")
-    outside.until_beyond(2000, "the drive runs, and is recorded")
+    outside.until_beyond(2000, "the drive runs")
+
+    def recorded() -> bool:
+        outside.look()
+        return sum(file.stat().st_size for file in tmp_path.glob("**/*.mcap*")) > 100_000
+
+    until(recorded, "it is recorded")
     recorder.signal(signal.SIGSTOP)
     # more than publisher and subscriber keep, 5000 messages each
     outside.until_beyond(outside.period + 15_000, "the drive goes on without its recorder")
