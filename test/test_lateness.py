@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from mfpcc_msgs.msg import DutyCommand
+from harness import until
+from mfpcc_msgs.msg import DutyCommand, PhaseFeedback
 from rclpy.parameter import Parameter
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from mfpcc_controller.node import MfpccController
 from mfpcc_experiments.bags import recording
 from mfpcc_experiments.graph import session
 from mfpcc_experiments.graph.recorder import Recorder
@@ -120,6 +123,58 @@ def test_the_paced_controller_and_its_plant_know_of_it(paced: PmsmSim) -> None:
     (answer,) = paced.set_parameters([Parameter("real_time_factor", value=0.0)])
     assert answer.successful
     assert not paced.paced and all(each.waits for each in paced.loop_publishers)
+
+
+def test_a_controller_waits_for_listeners_where_its_plant_does(context: rclpy.Context) -> None:
+    plant = PmsmSim(context=context, parameter_overrides=[Parameter("real_time_factor", value=1.0)])
+    controller = MfpccController(context=context)
+    for node in (plant, controller):
+        node.trigger_configure()
+
+    def follows(paced: bool) -> bool:
+        controller._follow_pace()
+        return controller.paced is paced
+
+    until(lambda: follows(True), "the controller sees that the plant goes by itself")
+    assert not any(each.waits for each in controller.loop_publishers)
+    (answer,) = plant.set_parameters([Parameter("real_time_factor", value=0.0)])
+    assert answer.successful
+    until(lambda: follows(False), "the controller sees that the plant waits")
+    assert all(each.waits for each in controller.loop_publishers)
+    for node in (plant, controller):
+        node.destroy_node()
+
+
+def test_a_change_of_pace_loses_no_message(context: rclpy.Context) -> None:
+    plant = PmsmSim(context=context)
+    plant.trigger_configure()
+    publisher = plant.loop_publishers[0]
+    everything = QoSProfile(
+        history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE, depth=0
+    )
+    listener = plant.create_subscription(
+        PhaseFeedback, "phase_feedback", print, everything, raw=True
+    )
+    until(lambda: publisher.listeners == 1, "they are matched")
+    sample = Wire(PhaseFeedback)
+    taken: list[int] = []
+
+    def send_until(condition: Callable[[], bool]) -> bool:
+        sample.fixed["period"] += 1
+        publisher.publish(sample.to_bytes())
+        publisher.settle()
+        while (message := listener.handle.take_message(PhaseFeedback, False)) is not None:
+            taken.append(message[0].period)
+        return condition()
+
+    for paced in (True, False, True):
+        publisher.waits = not paced
+        until(lambda: send_until(lambda: publisher._successor is None), "the other one took over")
+    for _ in range(10):
+        send_until(lambda: True)
+    assert taken == list(range(1, len(taken) + 1)) and len(taken) == sample.fixed["period"][0]
+    plant.destroy_subscription(listener)
+    plant.destroy_node()
 
 
 def test_the_figure_shows_how_many_periods_are_later_than_that() -> None:

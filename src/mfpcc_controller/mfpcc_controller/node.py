@@ -35,6 +35,7 @@ from pwm_node.ros.stops import Stops
 from pwm_node.wire import Wire, WireError
 
 _WATCH_EVERY = 0.1  # s
+_PACE_EVERY = 1.0  # s
 _OVERRUNS = 10  # in a row are too many
 # A sample that is older by less than this has been overtaken; else the plant has begun anew.
 _OVERTAKEN = 100
@@ -98,6 +99,8 @@ class MfpccController(PwmNode):
         self._stops = Stops(self, "the reference has been at zero")
         self._watchdog = SteadyTimer(self, self._look_for_samples)
         self._watchdog.start(_WATCH_EVERY)
+        self._pace_watch = SteadyTimer(self, self._follow_pace)
+        self._pace_watch.start(_PACE_EVERY)
 
     def _compile(self) -> None:
         """Compile the kernel, or load it, before a sample waits for it."""
@@ -139,6 +142,7 @@ class MfpccController(PwmNode):
         """Remove what is not on the loop."""
         self._listeners.stop()
         self._watchdog.stop()
+        self._pace_watch.stop()
         self._stops.destroy()
         self.destroy_subscription(self._status_in)
         self.destroy_subscription(self._reference_in)
@@ -221,7 +225,6 @@ class MfpccController(PwmNode):
 
     def _look_for_samples(self) -> None:
         """Disable the inverter if no new sample comes while it is enabled."""
-        self._follow_pace()
         limit = self.values["fault.feedback_timeout"]
         enabled = self.period >= 0 and self.active and self._command.fixed["enable"][0]
         due = enabled and limit > 0.0 and not self._inverter_at_rest

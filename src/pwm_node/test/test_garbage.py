@@ -72,3 +72,29 @@ def test_who_had_it_off_keeps_it_off():
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+def test_a_loop_that_leaves_circles_keeps_its_memory(toy, context, collected):
+    from rclpy.parameter import Parameter as RosParameter
+
+    from pwm_node.ros import spin
+
+    alive, most, took_part = weakref.WeakSet(), [], []
+
+    class Leaky(toy.Ping):
+        def on_command(self, data):
+            alive.add(Circle())
+            most.append(len(alive))
+            took_part.append(gc.isenabled())
+            super().on_command(data)
+            if self.awaited is None:
+                self.finish()
+
+    ping = Leaky(context=context, parameter_overrides=[RosParameter("periods", value=20_000)])
+    pong = toy.Pong(context=context)
+    assert spin.run([ping, pong]) == 0
+    assert ping.period == 19_999 and len(most) >= 20_000
+    assert max(most) < 5000 and not any(took_part)
+    assert gc.isenabled()
+    for node in (ping, pong):
+        node.destroy_node()
