@@ -32,7 +32,7 @@ from pwm_node.ros.stops import Stops
 from pwm_node.units import RPM
 from pwm_node.wire import Wire, WireError
 
-# The wall clock begins after so many periods in lock-step. Both sides then look for their messages,
+# A fast wall clock begins after so many periods in lock-step. Both sides then look for their messages,
 # which they do not before some have come.
 _AT_EASE = 100
 _AT_ONCE = 1000  # periods without an answer
@@ -165,7 +165,7 @@ class PmsmSim(PwmNode):
             if self._pace.running:
                 if answer != OUT_OF_RANGE:
                     self._round_trips.add(time.perf_counter_ns() - self._began_at)
-            elif self.period < _AT_EASE:
+            elif self.period < _AT_EASE and self._pace.looks(self._seconds_per_period()):
                 self._advance()
             else:
                 self._set_pace(self.values["real_time_factor"])
@@ -261,10 +261,14 @@ class PmsmSim(PwmNode):
         self._pace.stop()
         self._told_tick = None
         if factor is not None:
-            self._pace.start(1.0 / (self.values["pwm_frequency"] * factor))
+            self._pace.start(self._seconds_per_period())
             self._round_trips = Lags()
             self._began_at = time.perf_counter_ns()
             self._paced_from = self._ticked_at = self._pace.ticked_at, self.period
+
+    def _seconds_per_period(self) -> float:
+        """Time of a period by the wall clock (s)."""
+        return 1.0 / float(self.values["pwm_frequency"] * self.values["real_time_factor"])
 
     def _on_tick(self) -> None:
         """Begin a period, whether or not its command is there."""

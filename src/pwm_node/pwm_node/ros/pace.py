@@ -104,10 +104,15 @@ class Pace(SteadyTimer):
         self.ticked_at = time.monotonic()
         self._seconds = seconds
         self._next = self.ticked_at + seconds
-        if seconds < _BY_TIMER_FROM:
+        if self.looks(seconds):
             self.due = self._next
         else:
             super().start(seconds)
+
+    @staticmethod
+    def looks(seconds: float) -> bool:
+        """Whether ticks that are so far apart are looked for, by who spins the node."""
+        return seconds < _BY_TIMER_FROM
 
     def stop(self) -> None:
         """Tick no more."""
