@@ -32,8 +32,8 @@ from pwm_node.ros.stops import Stops
 from pwm_node.units import RPM
 from pwm_node.wire import Wire, WireError
 
-# A fast wall clock begins after so many periods in lock-step. Both sides then look for their messages,
-# which they do not before some have come.
+# A fast wall clock begins after so many periods in lock-step. Both sides then look for their
+# messages, which they do not before some have come.
 _AT_EASE = 100
 _AT_ONCE = 1000  # periods without an answer
 # A sample is taken within this time (s), or a few more have come: a queue of ten takes them.
