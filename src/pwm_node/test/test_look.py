@@ -194,3 +194,35 @@ def test_a_fast_pace_is_looked_for_and_a_slow_one_has_a_timer(toy, context, seco
     pace.stop()
     assert not pace.running and pace.due == math.inf and pace.timer is None
     node.destroy_node()
+
+
+class Storm:
+    """An executor with more to serve than it ever can, each of which takes its time."""
+
+    def __init__(self, machine, takes):
+        self.context = self
+        self.served = 0
+        self._machine = machine
+        self._takes = takes
+
+    def ok(self):
+        return True
+
+    def create_task(self, callback, *arguments):
+        """Stand behind all the others, for ever."""
+
+    def spin_once(self, timeout_sec):
+        self.served += 1
+        self._machine.now += self._takes
+
+
+@pytest.mark.parametrize("takes", [5e-5, 3e-4, 2e-3])
+def test_requests_in_a_storm_get_a_tenth_of_the_loop(machine, takes):
+    executor = Storm(machine, takes)
+    due = spin._Due(executor)
+    turns = 50
+    for _ in range(turns):
+        due.serve(0.1 * SERVE_EVERY)
+    # one at least, so that nobody waits for ever
+    allowed = max(1.0, 0.1 * SERVE_EVERY / takes)
+    assert turns <= executor.served <= turns * (allowed + 1.0)

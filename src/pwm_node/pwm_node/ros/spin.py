@@ -36,6 +36,9 @@ from pwm_node.ros.node import AUTOSTART, PwmNode
 from pwm_node.ros.pace import Pace
 
 _SERVED_AT_ONCE = 100  # callbacks: far more than are ever due
+# Of the loop's time, what others may take who ask for more than that, as a storm of parameters
+# does; what is left waits for the next turn.
+_SHARE = 0.1
 
 
 class _Stop:
@@ -167,15 +170,16 @@ def _start(nodes: Sequence[Node], stop: _Stop) -> bool:
 
 def _spin(executor: Any, until: Future, stop: _Stop) -> None:
     """Serve the executor's nodes, which may come and go, until the end."""
-    look = Look()
+    look, due = Look(), _Due(executor)
     with NoGarbageCollector() as garbage:
         while not (stop.requested or until.done()):
             subscriptions, paces = _direct_subscriptions(executor), _paces(executor)
+            begin = time.monotonic()
             rest = look.on(subscriptions, paces, paced=any(n.paced for n in _nodes(executor)))
             if rest > 0.0:
                 _serve_one(executor, rest)
             else:
-                _serve_what_is_due(executor)
+                due.serve(_SHARE * (time.monotonic() - begin))
             garbage.look()
 
 
@@ -224,24 +228,38 @@ def _direct_subscriptions(executor: Any) -> list[LoopSubscription]:
         subscription.direct = direct
     if changed:
         executor.wake()  # look again at what there is to serve
-        _serve_what_is_due(executor)
+        _Due(executor).serve()
         return _direct_subscriptions(executor)  # a callback may have removed some
     return [subscription for subscription in subscriptions if subscription.direct]
 
 
-def _serve_what_is_due(executor: Any) -> None:
-    """Serve all that is queued: the last of it is a task of our own, which says so.
+class _Due:
+    """What is queued: the last of it is a task of our own, which says so.
 
     A `spin_once` that finds nothing costs three times as much as that task, so it is not for trying
     whether there is more. `spin_until_future_complete` without a future would do the same, but each
     call of it leaks 32 bytes: at 250 a second some 30 MB an hour.
     """
-    served: list[bool] = []
-    executor.create_task(served.append, True)
-    for _ in range(_SERVED_AT_ONCE):
-        if served or not executor.context.ok():
-            return
-        _serve_one(executor, 0.0)
+
+    def __init__(self, executor: Any) -> None:
+        self._executor = executor
+        self._served: list[bool] | None = None  # by the task that is on its way
+
+    def serve(self, seconds: float = math.inf) -> None:
+        """Serve all that is queued, or so much of it as this time (s) allows: one at least."""
+        if self._served is None:
+            self._served = []
+            self._executor.create_task(self._served.append, True)
+        deadline = time.monotonic() + seconds
+        for _ in range(_SERVED_AT_ONCE):
+            if not self._executor.context.ok():
+                return
+            _serve_one(self._executor, 0.0)
+            if self._served:
+                self._served = None
+                return
+            if time.monotonic() >= deadline:
+                return
 
 
 @contextmanager
