@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from types import TracebackType
 
 from rich import progress
@@ -9,10 +10,15 @@ from rich.console import Console
 
 
 class _Rate(progress.ProgressColumn):
-    """Runs per second."""
+    """Runs per second since the start, and the time that the rest takes at that rate."""
 
     def render(self, task: progress.Task) -> str:  # type: ignore[override]
-        return f"{task.speed:,.0f} runs/s" if task.speed else ""
+        done = task.completed - task.fields["before"]
+        if not done or not task.elapsed:
+            return ""
+        rate = done / task.elapsed
+        left = round(((task.total or 0.0) - task.completed) / rate)
+        return f"{rate:,.0f} runs/s, {timedelta(seconds=left)} left"
 
 
 class Progress:
@@ -34,11 +40,9 @@ class Progress:
             progress.TaskProgressColumn(),
             progress.TextColumn("{task.completed:,.0f} of {task.total:,.0f}"),
             _Rate(),
-            progress.TimeRemainingColumn(elapsed_when_finished=True),
             console=self._console,
-            speed_estimate_period=60.0,
         )
-        self._task = self._bar.add_task("sweep", total=rows, completed=done)
+        self._task = self._bar.add_task("sweep", total=rows, completed=done, before=done)
 
     def __enter__(self) -> Progress:
         self._bar.start()
