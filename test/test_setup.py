@@ -26,7 +26,7 @@ FROM_ROS = get_packages_with_prefixes().keys()
 # rosdep knows no key for these; they come from requirements/run.txt and dev.txt alone.
 WITHOUT_KEY = ("lz4", "mcap", "motulator", "rosbags", "zstandard")
 # Used where somebody has them, and asks for what needs them.
-OPTIONAL = {"pandas", "pyarrow"}
+OPTIONAL = {"distributed", "pandas", "pyarrow"}
 # The package of configuration files is used by name, and imported by nobody; what launch files
 # import, they import where they are launched.
 USED_BY_NAME = {"pwm_node": {"mfpcc_config"}, "mfpcc_experiments": {"launch", "launch_ros"}}

@@ -229,6 +229,43 @@ def test_small_motors_run_up_at_their_first_step(motor, frequency):
         assert r.largest_current() < 1.25 * est.i_max
 
 
+LIGHT_ROTOR = """
+name: light_rotor
+description: A servo motor without a load
+source: The data sheet of docs/own_motor.md
+R_s: 0.95
+L_d: 2.8e-3
+L_q: 2.8e-3
+psi_f: 0.0936
+n_p: 4
+J: 6.0e-5
+i_max: 4.81
+speed_max_rpm: 3000
+u_dc: 311
+"""
+
+
+@pytest.mark.parametrize("noise", [1e-3, 5e-3])
+@pytest.mark.parametrize("event", ["0.0 load_torque 0.68", "0.05 speed_ref_rpm -900"])
+def test_a_speed_that_falls_faster_than_its_estimate_bends_no_map(tmp_path, noise, event):
+    """What of the EMF the estimate did not tell went to the legs, and came back with their signs."""
+    motor = tmp_path / "light_rotor.yaml"
+    motor.write_text(LIGHT_ROTOR)
+    for seed in SEEDS:
+        r = run(
+            "mls_mfpcc",
+            0.2,
+            motor=str(motor),
+            rpm=1500.0,
+            load=0.5,
+            seed=seed,
+            plant={"noise.current_rms": noise * 4.81},
+            schedule=[event],
+        )
+        assert r.controller.faults() == []
+        assert r.largest_current() < 1.1 * r.controller.motor.i_max
+
+
 def test_a_decay_within_the_period_is_no_delay():
     """L / R of four periods: with the gain of both taps a step went 15 % beyond its end."""
     over = [real_deviation("mls_mfpcc", "L / R 0.2 ms: `maxon_ecmax40_120w`", s) for s in SEEDS]

@@ -58,6 +58,11 @@ is slow, coherent and not of this model (the speed estimate's delay, a second-or
 thousands of samples it would bend the map in directions that hardly move. So the less noise there
 is below that value, the faster the constant follows, and takes what is slow.
 
+*Errors with memory*, one like the other, are no noise either, but what no regressor tells: a speed
+that changes faster than the rotor observer follows (a light rotor, a load step). The observer's l
+below tells them. There the constant follows faster, too; else the map and the legs would take it,
+and with the next change of sign of the current answer for it.
+
 *The observer.* Control starts from `i_f = i_hat + l e`. A prediction that is right leaves errors
 without memory; positive correlation of one error and the next says that l is too small, negative
 that it is too large. So l is moved by e(k) e(k-1). An error beyond what noise explains is followed
@@ -126,6 +131,8 @@ _SIGN = 0.03
 # The observer's share: first value, bounds, and rates of itself and of the variance it is based on
 _SHARE = 0.5
 _SHARE_LEAST, _SHARE_MOST = 0.03, 0.95
+# Above this share errors have memory: they are no noise, but what no regressor tells
+_COLOURED = 0.8
 _SHARE_RATE = 0.01
 
 # A map flatter than this (its determinant over the square of its size) is none of a motor.
@@ -325,6 +332,9 @@ def _fit(cfg, mem, e_d, e_q, e_sq):
         follow = _FOLLOW * _FOLLOW
         if lut.r < noise:
             follow *= min(noise / lut.r, _FOLLOW_MORE)
+        if lut.share > _COLOURED:
+            more = (lut.share - _COLOURED) / (_SHARE_MOST - _COLOURED)
+            follow *= 1.0 + more * (_FOLLOW_MORE - 1.0)
         P[_CONSTANT, _CONSTANT] += follow * noise
 
     mem.eta = known * weight
