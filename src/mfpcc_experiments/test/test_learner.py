@@ -248,7 +248,7 @@ u_dc: 311
 @pytest.mark.parametrize("noise", [1e-3, 5e-3])
 @pytest.mark.parametrize("event", ["0.0 load_torque 0.68", "0.05 speed_ref_rpm -900"])
 def test_a_speed_that_falls_faster_than_its_estimate_bends_no_map(tmp_path, noise, event):
-    """What of the EMF the estimate did not tell went to the legs, and came back with their signs."""
+    """What of the EMF the estimate did not tell once went to the legs, and to their signs."""
     motor = tmp_path / "light_rotor.yaml"
     motor.write_text(LIGHT_ROTOR)
     for seed in SEEDS:

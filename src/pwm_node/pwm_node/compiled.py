@@ -83,9 +83,9 @@ def inlined(function: Function) -> Function:
 def _compiled(function: Function, *, forceinline: bool) -> Function:
     digest = _digest(function)
     function.__kernel_digest__ = digest  # type: ignore[attr-defined]
-    # numba names a compiled kernel by its qualified name and a number that counts within the process
-    # which compiled it. So two of one name, as of one function made twice, may be called the same
-    # where both come from disk. The digest tells them apart.
+    # numba names a compiled kernel by its qualified name and a number that counts within the
+    # process which compiled it. So two of one name, as of one function made twice, may be called
+    # the same where both come from disk. The digest tells them apart.
     function.__qualname__ += f"_{digest[:_DIGITS]}"
     compiled: Any = numba.njit(function, error_model="numpy", nogil=True, forceinline=forceinline)
     if compiled is function:  # numba is switched off

@@ -28,8 +28,8 @@ from pmsm_sim.reference import ReferenceDrive, ReferencePlant
 # How far the plant may be from an independent integration.
 _CURRENT_LIMIT = 1e-6  # (A)
 _SPEED_LIMIT = 1e-8  # (rad/s)
-# The same where diodes switch by themselves. Measured are up to 1.1e-7 in 20 ms, ten times the limit
-# of the simple machines; what adds up to it is not known in detail.
+# The same where diodes switch by themselves. Measured are up to 1.1e-7 in 20 ms, ten times the
+# limit of the simple machines; what adds up to it is not known in detail.
 _REALISTIC_SPEED_LIMIT = 1e-6
 # A realistic drive is held against it for at least so many periods, and for this part of the time
 # of a simple one: there each period takes long.
