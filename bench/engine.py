@@ -19,7 +19,7 @@ from mfpcc_experiments.running import Scenario
 from mfpcc_experiments.running.engine import Engine, parallel, step_time
 from pwm_node import yaml_files
 
-_SCHEMES = ("mfpcc", "mls_mfpcc", "neso_mfpcc")
+_SCHEMES = ("mfpcc", "mls_mfpcc", "mls_mfpcc_paper", "neso_mfpcc")
 _MOTULATOR = Path(__file__).with_name("motulator_drive.py")
 _NEEDS_MOTULATOR = "motulator is not installed (`make bench` does it; needs Python 3.12)"
 
@@ -79,6 +79,14 @@ def measure(*, quick: bool) -> list[Figure]:
         figure(
             "one step of mls_mfpcc inside the compiled loop",
             steps["mls_mfpcc"],
+            "us",
+            "mfpcc (seven candidates)",
+            steps["mfpcc"],
+            bar="ratio <= 1.5",
+        ),
+        figure(
+            "one step of mls_mfpcc_paper inside the compiled loop",
+            steps["mls_mfpcc_paper"],
             "us",
             "mfpcc (seven candidates)",
             steps["mfpcc"],
