@@ -82,3 +82,15 @@ def leg_duties(out, duty):
         d = half + out.d_a * LEGS[out.a, x] + out.d_b * LEGS[out.b, x]
         # rounding may leave 0..1 by one unit in the last place; the inverter would refuse it
         duty[x] = min(max(d, 0.0), 1.0)
+
+
+@kernel
+def signs(slope, i_dq, turn):
+    """Space vector (dq) of the signs of the phase currents."""
+    i_ab = i_dq * turn.conjugate()
+    i_a = i_ab.real
+    i_b = -0.5 * i_a + SIN_60 * i_ab.imag
+    s_a = min(max(slope * i_a, -1.0), 1.0)
+    s_b = min(max(slope * i_b, -1.0), 1.0)
+    s_c = min(max(-slope * (i_a + i_b), -1.0), 1.0)
+    return complex((2.0 * s_a - s_b - s_c) / 3.0, (s_b - s_c) * SIN_60 / 1.5) * turn

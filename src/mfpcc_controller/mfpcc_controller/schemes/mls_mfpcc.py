@@ -92,7 +92,7 @@ import numpy as np
 from mfpcc_controller import search
 from mfpcc_controller.diagnostics import show_gradients, show_shares
 from mfpcc_controller.schemes.built_in import BuiltIn
-from mfpcc_controller.vectors import ACTIVE_LENGTH, SIN_60, next_vector, scaled, square
+from mfpcc_controller.vectors import ACTIVE_LENGTH, next_vector, scaled, signs, square
 from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 
@@ -243,18 +243,6 @@ def _response(lut, u_dq):
 
 
 @kernel
-def _signs(slope, i_dq, turn):
-    """Space vector (dq) of the signs of the phase currents."""
-    i_ab = i_dq * turn.conjugate()
-    i_a = i_ab.real
-    i_b = -0.5 * i_a + SIN_60 * i_ab.imag
-    s_a = min(max(slope * i_a, -1.0), 1.0)
-    s_b = min(max(slope * i_b, -1.0), 1.0)
-    s_c = min(max(-slope * (i_a + i_b), -1.0), 1.0)
-    return complex((2.0 * s_a - s_b - s_c) / 3.0, (s_b - s_c) * SIN_60 / 1.5) * turn
-
-
-@kernel
 def _settled(noise, i, due):
     """`due`, plus what of i - due is more than noise on an axis."""
     d, q = i.real - due.real, i.imag - due.imag
@@ -266,7 +254,7 @@ def _settled(noise, i, due):
 @kernel
 def _regress(x, slope, w, i_s, turn):
     """Fill in the regressors of the natural response; `w` is over top speed."""
-    s = _signs(slope, i_s, turn)
+    s = signs(slope, i_s, turn)
     t_2 = turn * turn
     t_6 = t_2 * t_2 * t_2
     x[6], x[7] = w, 1.0
