@@ -38,7 +38,7 @@ def resistance(
         found = happened.value_at(recording, past.changes, "pmsm_sim", name, period)
         # recorded by a version without such a parameter
         default: Any = PLANT[name].default
-        return float(default if found is None else found)
+        return float(found) if isinstance(found, int | float) else default
 
     rows = window_rows(recording.feedback["period"], window_s, T_s)
     period = recording.feedback["period"][rows].astype(np.int64)
