@@ -14,10 +14,14 @@ from mfpcc_experiments.bags.writer import CHUNK_NS
 
 _RANK = {topic: rank for rank, topic in enumerate(LOOP_TOPICS)}
 
-#: A topic that is behind by more than this (ns) is not waited for; see the head of `bags.writer`.
+#: A topic that is behind by more than this (ns) may have fallen silent; see the head of
+#: `bags.writer`.
 _BEHIND = CHUNK_NS
+#: It has if nothing of it came before so many releases. Few tell nothing: where the machine is busy,
+#: the middleware sends again what was lost on the way, long after the other topics.
+_SILENT = 100
 #: Messages of a topic that wait at most, where stamps do not tell how far behind others are.
-_WAITING = 5_000
+_WAITING = 20_000
 
 _Message = tuple[int, int, str, int, bytes]  # period, rank, and what is written
 
@@ -39,6 +43,7 @@ class InStep:
         self._steps = steps
         self._held: dict[str, deque[_Message]] = {}
         self._last: dict[str, tuple[int, int]] = {}  # sample and stamp (ns) of each topic
+        self._releases: dict[str, int] = {}  # of each topic, since its last message
 
     def add(self, topic: str, period: int, stamp: int, data: bytes) -> None:
         """Take a message; it is written by `release`."""
@@ -47,11 +52,14 @@ class InStep:
             self.release(everything=True)  # the drive began anew
             self._last.clear()
         self._last[topic] = sample, stamp
+        self._releases[topic] = 0
         self._held.setdefault(topic, deque()).append((sample, _RANK[topic], topic, stamp, data))
 
     def release(self, *, everything: bool = False) -> None:
         """Write the periods of which all topics have come, or all there is."""
         ready: list[_Message] = []
+        for topic in self._releases:
+            self._releases[topic] += 1
         until = None if everything else self._complete_until()
         for held in self._held.values():
             while held and (until is None or held[0][0] <= until):
@@ -68,5 +76,5 @@ class InStep:
         return min(
             sample + self._steps.get(topic, 1) - 1
             for topic, (sample, stamp) in self._last.items()
-            if newest - stamp <= _BEHIND
+            if newest - stamp <= _BEHIND or self._releases[topic] <= _SILENT
         )
