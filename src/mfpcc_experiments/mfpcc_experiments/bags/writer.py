@@ -17,9 +17,9 @@ Chunks are closed after 40 ms of recorded time (0.3 to 0.5 MB at 10 kHz), betwee
 only the topic that began a chunk begins the next one. So what was written when a process is killed
 ends at the same period in all topics, if they come period by period. With the open chunk, two
 waiting and one being written, it ends at most 0.2 s before the last period of which all topics have
-come (a recorder holds the others back for one that is behind, `graph.in_step`). Chunks are compressed with LZ4: on
-such data, half noise, it takes a third of the time of Zstandard's level 1 and costs a fifth more
-bytes.
+come (a recorder holds the others back for one that is behind, `graph.in_step`). Chunks are
+compressed with LZ4: on such data, half noise, it takes a third of the time of Zstandard's level 1
+and costs a fifth more bytes.
 """
 
 from __future__ import annotations

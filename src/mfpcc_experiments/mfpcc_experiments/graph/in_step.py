@@ -17,8 +17,8 @@ _RANK = {topic: rank for rank, topic in enumerate(LOOP_TOPICS)}
 #: A topic that is behind by more than this (ns) may have fallen silent; see the head of
 #: `bags.writer`.
 _BEHIND = CHUNK_NS
-#: It has if nothing of it came before so many releases. Few tell nothing: where the machine is busy,
-#: the middleware sends again what was lost on the way, long after the other topics.
+#: It has if nothing of it came before so many releases. Few tell nothing: where the machine is
+#: busy, the middleware sends again what was lost on the way, long after the other topics.
 _SILENT = 100
 #: Messages of a topic that wait at most, where stamps do not tell how far behind others are.
 _WAITING = 20_000
