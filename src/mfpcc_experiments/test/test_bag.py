@@ -6,6 +6,8 @@ import resource
 import signal
 import subprocess
 import sys
+import tracemalloc
+from array import array
 from pathlib import Path
 
 import numpy as np
@@ -262,3 +264,24 @@ def test_room_for_the_end_is_made_on_a_full_disk(tmp_path, drive_messages, monke
         writer.close()
     assert calls == [8, 7, 6]
     assert len(recording.read(tmp_path / "b").feedback) == 2400
+
+
+def test_an_hour_of_chunks_takes_little_memory(tmp_path):
+    """All of them are kept until the file has its index: 90,000 an hour."""
+    sink = McapSink(tmp_path / "b_0.mcap")
+
+    def chunks(numbers):
+        for n in numbers:
+            sink.chunk(bytes(1000), {cid: array("Q", [40_000_000 * n, 0]) for cid in range(1, 5)})
+
+    chunks(range(100))
+    tracemalloc.start()
+    before, _ = tracemalloc.get_traced_memory()
+    chunks(range(100, 2100))
+    after, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert (after - before) / 2000 < 150.0
+    # and they are taken back as they were written
+    sink.take_back()
+    assert len(sink.chunks) == 2099 and sink.times == (0, 2098 * 40_000_000)
+    sink.close()

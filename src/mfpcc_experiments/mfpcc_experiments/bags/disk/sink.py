@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
-import struct
 import zlib
 from array import array
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +19,6 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -32,6 +30,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from mfpcc_experiments.bags.disk.chunk_list import INDEX_HEAD, ChunkList, WrittenChunk
 from mfpcc_experiments.bags.disk.mcap_format import CHUNK_HEAD, MAGIC, RECORD_HEAD, encode
 from mfpcc_experiments.bags.metadata import (
     METADATA,
@@ -43,17 +42,6 @@ from mfpcc_experiments.bags.metadata import (
 from mfpcc_experiments.bags.provenance import SUMMARY_RECORD, json_record
 
 _LZ4 = b"lz4"
-_INDEX_HEAD = struct.Struct("<HI")  # of a message index: channel, bytes of its entries
-
-
-@dataclass
-class _Chunk:
-    """Where a written chunk lies, and the state of the file before it (to take it back)."""
-
-    index: ChunkIndex
-    counts: dict[int, int]
-    offset: int
-    crc: int
 
 
 @dataclass
@@ -70,14 +58,14 @@ class McapSink:
     ----------
     schemas, channels : dict
         Records by id; they must also be in the chunks (see `BagWriter`), here for the summary.
-    chunks : list
+    chunks : ChunkList
         The chunks written so far.
     """
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[_Chunk] = field(default_factory=list)
+    chunks: ChunkList = field(default_factory=ChunkList)
 
     def __post_init__(self) -> None:
         # No buffer: what was handed over survives the death of the process.
@@ -152,28 +140,15 @@ class McapSink:
         head = RECORD_HEAD.pack(Opcode.CHUNK, len(body))
         parts = [head, body]
         chunk_length = len(head) + len(body)
-        position = self._offset + chunk_length
-        offsets = {}
         for cid, a in entries.items():
-            offsets[cid] = position
-            content = _INDEX_HEAD.pack(cid, a.nbytes) + a.tobytes()
+            content = INDEX_HEAD.pack(cid, a.nbytes) + a.tobytes()
             parts += [RECORD_HEAD.pack(Opcode.MESSAGE_INDEX, len(content)), content]
-            position += RECORD_HEAD.size + len(content)
         before = (self._offset, self._crc)
         self._write(b"".join(parts))
-        record = ChunkIndex(
-            message_start_time=start,
-            message_end_time=end,
-            chunk_start_offset=before[0],
-            chunk_length=chunk_length,
-            message_index_offsets=offsets,
-            message_index_length=position - before[0] - chunk_length,
-            compression="lz4",
-            compressed_size=len(packed),
-            uncompressed_size=len(records),
-        )
         counts = {cid: len(a) for cid, a in entries.items()}
-        self.chunks.append(_Chunk(record, counts, *before))
+        self.chunks.append(
+            WrittenChunk(*before, start, end, chunk_length, len(packed), len(records), counts)
+        )
 
     def take_back(self) -> None:
         """Remove the last chunk and what came after it, to make room on a full disk."""
@@ -198,10 +173,7 @@ class McapSink:
         """First and last log time (ns); zero for an empty file."""
         if not self.chunks:
             return 0, 0
-        return (
-            min(c.index.message_start_time for c in self.chunks),
-            max(c.index.message_end_time for c in self.chunks),
-        )
+        return min(chunk.start for chunk in self.chunks), max(chunk.end for chunk in self.chunks)
 
     def info(self) -> PartInfo:
         """What ``metadata.yaml`` tells of the file."""
@@ -213,7 +185,7 @@ class McapSink:
         start = self._offset + len(end)
         first, last = self.times
         counts = self.counts
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
+        groups: list[tuple[Opcode, Iterable[McapRecord]]] = [
             (Opcode.SCHEMA, list(self.schemas.values())),
             (Opcode.CHANNEL, list(self.channels.values())),
             (
@@ -232,7 +204,7 @@ class McapSink:
                     )
                 ],
             ),
-            (Opcode.CHUNK_INDEX, [c.index for c in self.chunks]),
+            (Opcode.CHUNK_INDEX, (chunk.record(_LZ4.decode()) for chunk in self.chunks)),
             (Opcode.ATTACHMENT_INDEX, list(self._attachments)),
             (Opcode.METADATA_INDEX, list(self._metadata)),
         ]
