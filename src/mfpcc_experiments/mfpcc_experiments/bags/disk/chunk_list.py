@@ -84,7 +84,7 @@ class ChunkList:
         position = 0
         for *values, channels in _FIXED.iter_unpack(self._fixed):
             end = position + channels * _COUNT.size
-            yield WrittenChunk(*values, dict(_COUNT.iter_unpack(self._counts[position:end])))
+            yield WrittenChunk(*values, counts=dict(_COUNT.iter_unpack(self._counts[position:end])))
             position = end
 
     def append(self, chunk: WrittenChunk) -> None:
@@ -106,6 +106,6 @@ class ChunkList:
         """Remove the last chunk, and return it."""
         *values, channels = _FIXED.unpack(self._fixed[-_FIXED.size :])
         begin = len(self._counts) - channels * _COUNT.size
-        chunk = WrittenChunk(*values, dict(_COUNT.iter_unpack(self._counts[begin:])))
+        chunk = WrittenChunk(*values, counts=dict(_COUNT.iter_unpack(self._counts[begin:])))
         del self._fixed[-_FIXED.size :], self._counts[begin:]
         return chunk
