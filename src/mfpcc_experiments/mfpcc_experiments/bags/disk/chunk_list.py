@@ -70,6 +70,12 @@ class WrittenChunk:
         )
 
 
+def _chunk(fixed: list[int], counts: bytearray) -> WrittenChunk:
+    offset, crc, start, end, length, packed, size = fixed
+    by_channel = dict(_COUNT.iter_unpack(counts))
+    return WrittenChunk(offset, crc, start, end, length, packed, size, by_channel)
+
+
 class ChunkList:
     """The chunks of a file in their order, some 90 bytes each; grows and shrinks at its end."""
 
@@ -84,7 +90,7 @@ class ChunkList:
         position = 0
         for *values, channels in _FIXED.iter_unpack(self._fixed):
             end = position + channels * _COUNT.size
-            yield WrittenChunk(*values, counts=dict(_COUNT.iter_unpack(self._counts[position:end])))
+            yield _chunk(values, self._counts[position:end])
             position = end
 
     def append(self, chunk: WrittenChunk) -> None:
@@ -106,6 +112,6 @@ class ChunkList:
         """Remove the last chunk, and return it."""
         *values, channels = _FIXED.unpack(self._fixed[-_FIXED.size :])
         begin = len(self._counts) - channels * _COUNT.size
-        chunk = WrittenChunk(*values, counts=dict(_COUNT.iter_unpack(self._counts[begin:])))
+        chunk = _chunk(values, self._counts[begin:])
         del self._fixed[-_FIXED.size :], self._counts[begin:]
         return chunk
