@@ -48,15 +48,9 @@ def modules(package: str) -> dict[str, Path]:
 MODULES = {name: path for package in PACKAGES for name, path in modules(package).items()}
 
 
-def of_type_checking(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-
-
 def imports(tree: ast.AST) -> Iterator[tuple[str, list[str]]]:
-    """Modules that are imported, with the names that are taken; also those within functions."""
+    """Modules that are imported, with the names that are taken; within functions and for types too."""
     for node in ast.iter_child_nodes(tree):
-        if of_type_checking(node):
-            continue
         if isinstance(node, ast.ImportFrom) and node.module and not node.level:
             yield node.module, [alias.name for alias in node.names]
         elif isinstance(node, ast.Import):

@@ -62,6 +62,7 @@ class PmsmSim(PwmNode):
     def __init__(self, **options: Any) -> None:
         super().__init__("pmsm_sim", TABLE, **options)
         self._pace = Pace(self, self._on_tick)
+        self.paces.append(self._pace)
         self._rest = SteadyTimer(self, self._advance)
         self._told_tick: tuple[float, int] | None = None
         self._round_trips = Lags()

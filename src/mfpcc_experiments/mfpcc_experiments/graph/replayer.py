@@ -103,6 +103,7 @@ class Replayer(PwmNode):
         row = np.where(np.isin(wanted, there), np.searchsorted(there, wanted), -1)
         self._answer_row = row.tolist()  # of the recorded commands; -1: none
         self._pace = Pace(self, self._on_tick)
+        self.paces.append(self._pace)
 
     # Life cycle -----------------------------------------------------------------------------
 

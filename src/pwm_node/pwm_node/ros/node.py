@@ -10,7 +10,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock
@@ -24,10 +24,8 @@ from pwm_node.process import real_time, shared_memory
 from pwm_node.ros import guard, only_one
 from pwm_node.ros.diagnostics import Level, Part, StepTimes
 from pwm_node.ros.loop_topics import LoopPublisher, LoopSubscription
+from pwm_node.ros.pace import Pace
 from pwm_node.ros.table_node import CHANGES_KEPT, TableNode
-
-if TYPE_CHECKING:
-    from pwm_node.ros.pace import Pace
 
 AUTOSTART = Parameter(
     "autostart",
@@ -76,6 +74,8 @@ class PwmNode(TableNode):
         The latest faults since the start, cleared ones too: code, period, what was seen.
     missed_periods, lost_periods : int
         Totals for the diagnostics; the subclass counts.
+    paces : list of Pace
+        Those whose ticks who spins the node looks for; the subclass adds.
     finished : Future
         Done when the node has done what it was there for, which ends the run.
     step_times : StepTimes

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -13,9 +12,7 @@ from rclpy.timer import Timer
 
 from pwm_node.lags import Lags
 from pwm_node.ros.loop_topics import LoopPublisher
-
-if TYPE_CHECKING:
-    from pwm_node.ros.node import PwmNode
+from pwm_node.ros.table_node import TableNode
 
 _LOOK_EVERY = 0.01  # s
 # A timer wakes the process, some 0.1 ms late. Ticks closer than this (s) are looked for instead.
@@ -27,13 +24,13 @@ class SteadyTimer:
 
     Parameters
     ----------
-    node : PwmNode
+    node : TableNode
         Whose executor calls.
     callback : callable
         Called each time.
     """
 
-    def __init__(self, node: PwmNode, callback: Callable[[], None]) -> None:
+    def __init__(self, node: TableNode, callback: Callable[[], None]) -> None:
         self._node = node
         self._callback = callback
         self.timer: Timer | None = None
@@ -60,12 +57,13 @@ class Pace(SteadyTimer):
     """Ticks of the wall clock, each for a period.
 
     Whole ticks that went by while the process did not run are left out, with no catching up: the
-    next one keeps phase. Where ticks follow each other fast, who spins the node looks for the time
-    at which one is `due`, and calls `on_tick`; otherwise a timer does.
+    next one keeps phase. Where ticks follow each other fast, who spins a node that has this among
+    its `paces` looks for the time at which one is `due`, and calls `on_tick`; otherwise a timer
+    does.
 
     Parameters
     ----------
-    node : PwmNode
+    node : TableNode
         As of `SteadyTimer`.
     tick : callable
         Called for each period.
@@ -82,7 +80,7 @@ class Pace(SteadyTimer):
         When `on_tick` is to be called (s, steady clock); infinite if a timer does that, or nobody.
     """
 
-    def __init__(self, node: PwmNode, tick: Callable[[], None]) -> None:
+    def __init__(self, node: TableNode, tick: Callable[[], None]) -> None:
         super().__init__(node, self.on_tick)
         self._tick = tick
         self.left_out = 0
@@ -90,7 +88,6 @@ class Pace(SteadyTimer):
         self.ticked_at = 0.0
         self.due = math.inf
         self._seconds = self._next = 0.0
-        node.paces.append(self)
 
     @property
     def running(self) -> bool:
@@ -142,13 +139,13 @@ class Listeners:
 
     Parameters
     ----------
-    node : PwmNode
+    node : TableNode
         The node that publishes.
     first, *others : LoopPublisher
         Its topics of the loop.
     """
 
-    def __init__(self, node: PwmNode, first: LoopPublisher, *others: LoopPublisher) -> None:
+    def __init__(self, node: TableNode, first: LoopPublisher, *others: LoopPublisher) -> None:
         self._node = node
         self._first = first
         self._others = others
