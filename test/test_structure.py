@@ -49,7 +49,7 @@ MODULES = {name: path for package in PACKAGES for name, path in modules(package)
 
 
 def imports(tree: ast.AST) -> Iterator[tuple[str, list[str]]]:
-    """Modules that are imported, with the names that are taken; within functions and for types too."""
+    """Modules that are imported, with the names that are taken; in functions and for types too."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.ImportFrom) and node.module and not node.level:
             yield node.module, [alias.name for alias in node.names]
