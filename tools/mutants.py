@@ -8,9 +8,11 @@ has no effect.
     mutants.py [--jobs N] [--sample N] [--count] [FILE ...]
 
 Kernels run in plain Python (NUMBA_DISABLE_JIT), since each mutant would have to be compiled. No
-file is changed: the tests are collected once, and for each mutant a process forks, changes the code
-of the functions where they stand, and runs the tests.
-Needs the workspace to be sourced, and the packages of requirements/dev.txt.
+file is changed: the tests are collected and run once, which tells what lines each of them runs. For
+each mutant a process forks, changes the code of the function where it stands, and runs the tests
+that come by, the fastest first. A mutant ends by processor time, not by the clock, so that a score
+does not depend on what else the machine does.
+Needs the workspace to be sourced, and the packages of requirements/dev.txt and mutants.txt.
 """
 
 from __future__ import annotations
@@ -18,20 +20,23 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
-import functools
+import gc
 import io
 import multiprocessing
 import os
 import random
+import resource
 import signal
 import sys
 import time
 import types
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 
@@ -90,8 +95,13 @@ OPERATORS = (
     "ZeroIterationForLoop",
 )
 
-_PATIENCE = 10.0  # times what the tests take without a change, and
-_AT_LEAST = 60.0  # s
+#: So many of each file, unless more are asked for.
+SAMPLE = 60
+
+_PATIENCE = 10.0  # times the processor time that the tests take without a change, and
+_AT_LEAST = 30.0  # s
+_IDLE = 30.0  # times that by the clock: for what waits for ever, on a machine however busy
+_NOT_APPLIED = 3
 
 
 @dataclass
@@ -104,11 +114,13 @@ class Mutant:
     was: str
     now: str
     source: str = field(repr=False)
+    lines: range  # of the statement, or of the head of one with a body
+    is_constant: bool  # of the module
     outcome: str = ""
 
     def __str__(self) -> str:
         return (
-            f"{self.file.relative_to(ROOT)}:{self.line}: {self.operator}\n"
+            f"{self.file.relative_to(ROOT)}:{self.line}: {self.operator} ({self.outcome})\n"
             f"    - {self.was}\n    + {self.now}"
         )
 
@@ -121,39 +133,56 @@ def mutants(file: Path) -> Iterator[Mutant]:
 
     source = file.read_text()
     before = source.splitlines()
-    lines = _lines_of_code(source)
+    in_functions, constants = _lines_of_code(source)
     for name in OPERATORS:
         kind = get_operator(f"core/{name}")
         for occurrence in range(10_000):
             visitor = MutationVisitor(occurrence, kind())
-            tree = visitor.walk(get_ast(source))
+            with contextlib.redirect_stderr(io.StringIO()):
+                tree = visitor.walk(get_ast(source))
             if not visitor.mutation_applied:
                 break
             changed = tree.get_code()
             after = changed.splitlines()
-            line = next(
-                (n for n, (a, b) in enumerate(zip(before, after, strict=False)) if a != b), None
-            )
-            if line is None or line + 1 not in lines:
+            differ = [n for n, (a, b) in enumerate(zip(before, after, strict=False)) if a != b]
+            if not differ:
                 continue
-            yield Mutant(file, name, line + 1, before[line].strip(), after[line].strip(), changed)
+            line = differ[0] + 1
+            if line in in_functions or line in constants:
+                was, now = before[line - 1].strip(), after[line - 1].strip()
+                lines = in_functions.get(line, range(0))
+                constant = line in constants
+                yield Mutant(file, name, line, was, now, changed, lines, constant)
 
 
-def _lines_of_code(source: str) -> set[int]:
-    """Lines of functions without their signatures, and of constants that are numbers."""
-    found: set[int] = set()
-    for node in ast.walk(ast.parse(source)):
+def _lines_of_code(source: str) -> tuple[dict[int, range], set[int]]:
+    """Lines of functions, without signatures, with those of their statement; and of constants."""
+    functions: dict[int, range] = {}
+    constants: set[int] = set()
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.Lambda)):
-            body = node.body if isinstance(node.body, list) else [node.body]
-            found.update(range(body[0].lineno, (body[-1].end_lineno or 0) + 1))
-    for node in ast.parse(source).body:
+            for statement in node.body if isinstance(node.body, list) else [node.body]:
+                for part in ast.walk(statement):
+                    if isinstance(part, ast.stmt) or part is statement:
+                        functions |= dict.fromkeys(_own_lines(part), _own_lines(part))
+    for node in tree.body:
         # a table of parameters or fields is no code
         if isinstance(node, ast.Assign) and not any(
             isinstance(part, (ast.Call, ast.List)) and not _is_cast(part)
             for part in ast.walk(node.value)
         ):
-            found.update(range(node.lineno, (node.end_lineno or 0) + 1))
-    return found
+            constants.update(_own_lines(node))
+    return functions, constants
+
+
+def _own_lines(node: ast.AST) -> range:
+    """Lines of a statement or expression, without those of its body."""
+    begin, end = node.lineno, node.end_lineno  # type: ignore[attr-defined]
+    body = getattr(node, "body", None)
+    if isinstance(node, ast.stmt) and isinstance(body, list) and body:
+        end = max(begin, body[0].lineno - 1)
+    return range(begin, end + 1)
 
 
 def _is_cast(node: ast.AST) -> bool:
@@ -168,15 +197,32 @@ def _is_cast(node: ast.AST) -> bool:
 # --- Applying one ---------------------------------------------------------------------------------
 
 
+class NotAppliedError(Exception):
+    """A mutant whose code was found nowhere, so that the tests would say nothing of it."""
+
+
 def apply(mutant: Mutant) -> None:
-    """Change the module of a mutant where it stands: the code of its functions, its constants."""
-    module = _modules()[mutant.file.resolve()]
-    changed = compile(mutant.source, str(module.__file__), "exec")
-    codes = dict(_codes(changed, ""))
-    for function in list(_functions(module)):
-        code = codes.get(function.__qualname__)
-        if code is not None:
-            function.__code__ = code
+    """Change what was imported of a file where it stands: the code of functions, constants."""
+    original = mutant.file.read_text()
+    changed = dict(_changes(_compiled(original), _compiled(mutant.source)))
+    applied = False
+    for thing in gc.get_objects():
+        # a kernel has another name than its code, and may stand in a closure
+        if isinstance(thing, types.FunctionType) and thing.__code__ in changed:
+            thing.__code__ = changed[thing.__code__]
+            applied = True
+    if not (_apply_to_constant(mutant) or applied):
+        raise NotAppliedError(str(mutant))
+
+
+def _apply_to_constant(mutant: Mutant) -> bool:
+    """Compute the constant of a module anew that is mutated, if it is one."""
+    (module,) = (
+        module
+        for module in list(sys.modules.values())
+        if (file := getattr(module, "__file__", None)) and Path(file).resolve() == mutant.file
+    )
+    applied = False
     for node in ast.parse(mutant.source).body:
         if isinstance(node, ast.Assign) and node.lineno <= mutant.line <= (node.end_lineno or 0):
             scratch = dict(vars(module))
@@ -187,120 +233,159 @@ def apply(mutant: Mutant) -> None:
                 for name in names:
                     if getattr(other, name, None) is getattr(module, name):
                         setattr(other, name, scratch[name])
+                        applied = True
+    return applied
 
 
-def _modules() -> dict[Path, types.ModuleType]:
-    """What is imported, by its file."""
-    return {
-        Path(file).resolve(): module
-        for module in list(sys.modules.values())
-        if (file := getattr(module, "__file__", None))
-    }
+def _compiled(source: str) -> types.CodeType:
+    return compile(source, "", "exec", dont_inherit=True)
 
 
-def _codes(code: types.CodeType, scope: str) -> Iterator[tuple[str, types.CodeType]]:
-    """Code of all functions by qualified name, those within functions and classes too."""
-    for part in code.co_consts:
-        if isinstance(part, types.CodeType):
-            name = f"{scope}{part.co_name}"
-            yield name, part
-            is_class = not part.co_flags & 0x2  # CO_NEWLOCALS
-            yield from _codes(part, f"{name}." if is_class else f"{name}.<locals>.")
-
-
-def _functions(module: types.ModuleType) -> Iterator[types.FunctionType]:
-    """All functions of a module, however deep in classes, wrappers and closures."""
-    seen: set[int] = set()
-    left: list[object] = list(vars(module).values())
-    while left:
-        thing = left.pop()
-        if id(thing) in seen:
-            continue
-        seen.add(id(thing))
-        if isinstance(thing, types.FunctionType):
-            left.append(getattr(thing, "__wrapped__", None))
-            for cell in thing.__closure__ or ():
-                with contextlib.suppress(ValueError):  # still empty
-                    left.append(cell.cell_contents)
-            if thing.__module__ == module.__name__ and not hasattr(thing, "__wrapped__"):
-                yield thing
-        elif isinstance(thing, type) and thing.__module__ == module.__name__:
-            left += vars(thing).values()
-        elif isinstance(thing, property):
-            left += [thing.fget, thing.fset]
-        elif isinstance(thing, (classmethod, staticmethod)):
-            left.append(thing.__func__)
-        elif isinstance(thing, functools.cached_property):
-            left.append(thing.func)
+def _changes(
+    was: types.CodeType, now: types.CodeType
+) -> Iterator[tuple[types.CodeType, types.CodeType]]:
+    """The code of each function that differs, as it was and as it is now; inner ones too."""
+    # a branch that can never be taken is no part of the code: its functions have no counterpart
+    inner = [
+        [part for part in code.co_consts if isinstance(part, types.CodeType)] for code in (was, now)
+    ]
+    for one, other in zip(*inner, strict=False):
+        if one != other:
+            yield one, other
+            yield from _changes(one, other)
 
 
 # --- Running the tests ----------------------------------------------------------------------------
 
 
 class Jury:
-    """The plug-in of pytest that runs the collected tests once for each mutant.
+    """The plug-in of pytest that runs the collected tests once, and then those of each mutant.
 
     Parameters
     ----------
+    file : Path
+        What the mutants change.
     made : list of Mutant
         Their outcome is filled in.
+    jobs : int
+        At a time.
     """
 
-    def __init__(self, made: Sequence[Mutant]) -> None:
-        self.made = made
-        self.fails = True  # until they have passed without a change
-        self._took: dict[str, float] = {}
+    def __init__(self, file: Path, made: Sequence[Mutant], jobs: int) -> None:
+        from coverage import Coverage
 
-    def pytest_runtest_logreport(self, report: Any) -> None:
-        self._took[report.nodeid] = self._took.get(report.nodeid, 0.0) + report.duration
+        self.made = made
+        self.fails = True  # until they have passed without a change, and all is judged
+        self._file, self._jobs = file, jobs
+        self._coverage = Coverage(data_file=None, include=[str(file)])
+        self._took: dict[str, float] = {}  # processor time of each test (s)
+        self._running: dict[int, tuple[Mutant, float]] = {}  # and when it is given up
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Any:
+        # what a fixture of many tests runs is run for each of them, not for the first alone
+        if fixturedef.scope == "function":
+            return (yield)
+        self._coverage.switch_context(_shared(fixturedef))
+        try:
+            return (yield)
+        finally:
+            self._coverage.switch_context(self._item)
 
     def pytest_runtestloop(self, session: Any) -> bool:
-        began = time.monotonic()
-        self.fails = session.testscollected == 0 or not _passed(session)
-        if self.fails:
-            return True
-        patience = max(_PATIENCE * (time.monotonic() - began), _AT_LEAST)
-        session.items.sort(key=lambda item: self._took.get(item.nodeid, 0.0))
-        for n, mutant in enumerate(self.made):
-            print(f"\r{n} of {len(self.made)} ", end="", file=sys.__stderr__, flush=True)
-            mutant.outcome = _in_a_child(functools.partial(_judged, session, mutant), patience)
+        items = session.items
+        self._coverage.start()
+        for item, following in zip(items, [*items[1:], None], strict=True):
+            self._item = item.nodeid
+            self._coverage.switch_context(self._item)
+            began = time.process_time()
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            self._took[self._item] = time.process_time() - began
+        self._coverage.stop()
+        if items and not session.testsfailed:
+            self._judge(session)
+            self.fails = False
         return True
 
+    def _judge(self, session: Any) -> None:
+        """Run a process for each mutant, some at a time."""
+        at_line = self._tests_at_lines(session)
+        for n, mutant in enumerate(self.made):
+            print(f"\r{n} of {len(self.made)} ", end="", file=sys.__stderr__, flush=True)
+            tests = [item for line in mutant.lines for item in at_line.get(line, ())]
+            if mutant.is_constant:
+                tests = session.items
+            tests = sorted(dict.fromkeys(tests), key=lambda item: self._took[item.nodeid])
+            if not tests:
+                mutant.outcome = "not reached"
+                continue
+            patience = _PATIENCE * sum(self._took[item.nodeid] for item in tests) + _AT_LEAST
+            self._wait(self._jobs - 1)
+            child = _in_a_child(session, mutant, tests, patience)
+            self._running[child] = mutant, time.monotonic() + _IDLE * patience
+        self._wait(0)
 
-def _judged(session: Any, mutant: Mutant) -> bool:
-    apply(mutant)
-    return _passed(session)
+    def _tests_at_lines(self, session: Any) -> dict[int, list[Any]]:
+        """The tests that run each line."""
+        by_context: dict[str, list[Any]] = {}
+        for item in session.items:
+            by_context.setdefault(item.nodeid, []).append(item)
+            for definitions in item._fixtureinfo.name2fixturedefs.values():
+                for definition in definitions:
+                    by_context.setdefault(_shared(definition), []).append(item)
+        lines = self._coverage.get_data().contexts_by_lineno(str(self._file))
+        return {
+            line: [item for context in contexts for item in by_context.get(context, ())]
+            for line, contexts in lines.items()
+        }
+
+    def _wait(self, most: int) -> None:
+        """Wait until at most so many are running."""
+        while len(self._running) > most:
+            for child, (mutant, deadline) in list(self._running.items()):
+                if time.monotonic() > deadline:  # it waits for what never comes
+                    os.killpg(child, signal.SIGKILL)
+                done, status = os.waitpid(child, os.WNOHANG)
+                if done:
+                    del self._running[child]
+                    code = os.waitstatus_to_exitcode(status)
+                    if code == _NOT_APPLIED:
+                        raise NotAppliedError(str(mutant))
+                    mutant.outcome = "survived" if code == 0 else "killed"
+            time.sleep(0.005)
 
 
-def _passed(session: Any) -> bool:
-    """Run the collected tests until one fails."""
-    for n, item in enumerate(session.items):
-        following = session.items[n + 1] if n + 1 < len(session.items) else None
+def _shared(fixture: Any) -> str:
+    return f"fixture {fixture.baseid}::{fixture.argname}"
+
+
+def _in_a_child(session: Any, mutant: Mutant, tests: Sequence[Any], patience: float) -> int:
+    """Apply a mutant in a process of its own, and run these tests until one fails."""
+    child = os.fork()
+    if child:
+        return child
+    code = 1
+    try:
+        os.setsid()
+        limit = int(patience) + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))
+        try:
+            apply(mutant)
+        except NotAppliedError:
+            code = _NOT_APPLIED
+        else:
+            code = 0 if _passed(session, tests) else 1
+    finally:  # whatever was raised: it was noticed
+        os._exit(code)
+
+
+def _passed(session: Any, tests: Sequence[Any]) -> bool:
+    """Run tests until one fails."""
+    for item, following in zip(tests, [*tests[1:], None], strict=True):
         item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
         if session.testsfailed:
             return False
     return True
-
-
-def _in_a_child(judge: Callable[[], bool], patience: float) -> str:
-    child = os.fork()
-    if child == 0:
-        os.setsid()
-        code = 1
-        try:
-            code = 0 if judge() else 1
-        finally:  # whatever was raised: it was noticed
-            os._exit(code)
-    deadline = time.monotonic() + patience
-    while True:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return "survived" if status == 0 else "killed"
-        if time.monotonic() > deadline:
-            os.killpg(child, signal.SIGKILL)
-            os.waitpid(child, 0)
-            return "killed"
-        time.sleep(0.01)
 
 
 def _without_shrinking() -> None:
@@ -316,23 +401,19 @@ def _without_shrinking() -> None:
     settings.load_profile("mutants")
 
 
-def judge(name: str, part: int, parts: int, most: int) -> tuple[int, list[Mutant]] | None:
-    """All mutants of a file, or one of so many parts: their number, and the survivors."""
-    import pytest
-
-    with contextlib.redirect_stderr(io.StringIO()):
-        made = list(mutants(ROOT / name))
-    if most:
-        made = random.Random(0).sample(made, min(most, len(made)))
-    made = made[part - 1 :: parts]
-    jury = Jury(made)
+def judge(name: str, jobs: int, most: int) -> tuple[int, list[Mutant]] | None:
+    """The mutants of a file: how many there are, and those made, with their outcome."""
+    made = everything = list(mutants(ROOT / name))
+    if 0 < most < len(everything):
+        made = random.Random(0).sample(everything, most)
+    jury = Jury(ROOT / name, made, jobs)
     _without_shrinking()
     with contextlib.redirect_stdout(io.StringIO()) as said:
         pytest.main(["-q", "-p", "no:cacheprovider", *TARGETS[name]], [jury])
     if jury.fails:
         print(f"{name}: its tests fail without any change\n{said.getvalue()}", file=sys.stderr)
         return None
-    return len(made), [mutant for mutant in made if mutant.outcome == "survived"]
+    return len(everything), made
 
 
 def main() -> int:
@@ -340,34 +421,38 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="mutants", description=__doc__.splitlines()[0])
     parser.add_argument("files", nargs="*", help="parts of the names of files; all of them")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
-    parser.add_argument("--sample", type=int, default=0, help="so many of each file, by chance")
+    parser.add_argument(
+        "--sample",
+        type=int,
+        default=SAMPLE,
+        help=f"so many of each file, by chance, always the same ones; 0: all ({SAMPLE})",
+    )
     parser.add_argument("--count", action="store_true", help="only say how many there are")
     arguments = parser.parse_args()
     os.chdir(ROOT)
     chosen = [n for n in TARGETS if not arguments.files or any(f in n for f in arguments.files)]
-    total = survived = 0
+    total = killed = 0
     for name in chosen:
         if arguments.count:
             print(f"{name}: {len(list(mutants(ROOT / name)))} mutants", flush=True)
             continue
-        jobs = arguments.jobs
         # each in a process of its own, in which nothing of the file before is imported
-        with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-            parts = [pool.submit(judge, name, n + 1, jobs, arguments.sample) for n in range(jobs)]
-            found = [part.result() for part in parts]
-        number = 0
-        left: list[Mutant] = []
-        for one in found:
-            if one is None:
-                return 1
-            number, left = number + one[0], left + one[1]
-        left.sort(key=lambda mutant: mutant.line)
-        total, survived = total + number, survived + len(left)
-        print(f"{name}: {number - len(left)} of {number} killed", flush=True)
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+            found = pool.submit(judge, name, arguments.jobs, arguments.sample).result()
+        if found is None:
+            return 1
+        number, made = found
+        left = sorted((m for m in made if m.outcome != "killed"), key=lambda m: m.line)
+        total, killed = total + len(made), killed + len(made) - len(left)
+        print(
+            f"{name}: {len(made) - len(left)} of {len(made)} killed"
+            + (f" (a sample of {number})" if number > len(made) else ""),
+            flush=True,
+        )
         for mutant in left:
             print(mutant, flush=True)
     if total:
-        print(f"{total - survived} of {total} killed: {100.0 * (1.0 - survived / total):.1f} %")
+        print(f"{killed} of {total} killed: {100.0 * killed / total:.1f} %")
     return 0
 
 

@@ -6,7 +6,7 @@ import fcntl
 import os
 import zlib
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,8 +30,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from mfpcc_experiments.bags.disk.chunk_list import INDEX_HEAD, ChunkList, WrittenChunk
 from mfpcc_experiments.bags.disk.mcap_format import CHUNK_HEAD, MAGIC, RECORD_HEAD, encode
+from mfpcc_experiments.bags.disk.written_chunk import INDEX_HEAD, WrittenChunk
 from mfpcc_experiments.bags.metadata import (
     METADATA,
     PartInfo,
@@ -58,14 +58,14 @@ class McapSink:
     ----------
     schemas, channels : dict
         Records by id; they must also be in the chunks (see `BagWriter`), here for the summary.
-    chunks : ChunkList
-        The chunks written so far.
+    chunks : list of bytes
+        The chunks written so far, see `WrittenChunk.kept`.
     """
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: ChunkList = field(default_factory=ChunkList)
+    chunks: list[bytes] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         # No buffer: what was handed over survives the death of the process.
@@ -146,24 +146,26 @@ class McapSink:
         before = (self._offset, self._crc)
         self._write(b"".join(parts))
         counts = {cid: len(a) for cid, a in entries.items()}
-        self.chunks.append(
-            WrittenChunk(*before, start, end, chunk_length, len(packed), len(records), counts)
-        )
+        written = WrittenChunk(*before, start, end, chunk_length, len(packed), len(records), counts)
+        self.chunks.append(written.kept())
 
     def take_back(self) -> None:
         """Remove the last chunk and what came after it, to make room on a full disk."""
-        chunk = self.chunks.pop()
+        chunk = WrittenChunk.from_kept(self.chunks.pop())
         self._file.truncate(chunk.offset)
         self._file.seek(chunk.offset)
         self._offset, self._crc = chunk.offset, chunk.crc
         self._metadata = [m for m in self._metadata if m.offset < chunk.offset]
         self._attachments = [a for a in self._attachments if a.offset < chunk.offset]
 
+    def _written(self) -> Iterator[WrittenChunk]:
+        return map(WrittenChunk.from_kept, self.chunks)
+
     @property
     def counts(self) -> dict[int, int]:
         """Messages per channel id."""
         total = dict.fromkeys(self.channels, 0)
-        for chunk in self.chunks:
+        for chunk in self._written():
             for cid, count in chunk.counts.items():
                 total[cid] += count
         return total
@@ -173,7 +175,8 @@ class McapSink:
         """First and last log time (ns); zero for an empty file."""
         if not self.chunks:
             return 0, 0
-        return min(chunk.start for chunk in self.chunks), max(chunk.end for chunk in self.chunks)
+        starts, ends = zip(*((chunk.start, chunk.end) for chunk in self._written()), strict=True)
+        return min(starts), max(ends)
 
     def info(self) -> PartInfo:
         """What ``metadata.yaml`` tells of the file."""
@@ -204,7 +207,7 @@ class McapSink:
                     )
                 ],
             ),
-            (Opcode.CHUNK_INDEX, (chunk.record(_LZ4.decode()) for chunk in self.chunks)),
+            (Opcode.CHUNK_INDEX, (chunk.record(_LZ4.decode()) for chunk in self._written())),
             (Opcode.ATTACHMENT_INDEX, list(self._attachments)),
             (Opcode.METADATA_INDEX, list(self._metadata)),
         ]

@@ -1,12 +1,11 @@
 """What a writer has to keep of each chunk until its file is finished, in few bytes.
 
-A recording of an hour has 90,000 chunks. As objects they would take more than 100 MB by then.
+A recording of an hour has 90,000 chunks. As records they would take more than 100 MB by then.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mcap.records import ChunkIndex
@@ -18,7 +17,7 @@ INDEX_HEAD = struct.Struct("<HI")
 #: Bytes of an entry: log time and offset.
 INDEX_ENTRY = 16
 
-_FIXED = struct.Struct("<QIQQQQQH")  # as of `WrittenChunk`, and the number of its channels
+_FIXED = struct.Struct("<QIQQQQQ")  # as of `WrittenChunk`
 _COUNT = struct.Struct("<HQ")  # channel, messages
 
 
@@ -69,49 +68,16 @@ class WrittenChunk:
             uncompressed_size=self.size,
         )
 
-
-def _chunk(fixed: list[int], counts: bytearray) -> WrittenChunk:
-    offset, crc, start, end, length, packed, size = fixed
-    by_channel = dict(_COUNT.iter_unpack(counts))
-    return WrittenChunk(offset, crc, start, end, length, packed, size, by_channel)
-
-
-class ChunkList:
-    """The chunks of a file in their order, some 90 bytes each; grows and shrinks at its end."""
-
-    def __init__(self) -> None:
-        self._fixed = bytearray()
-        self._counts = bytearray()
-
-    def __len__(self) -> int:
-        return len(self._fixed) // _FIXED.size
-
-    def __iter__(self) -> Iterator[WrittenChunk]:
-        position = 0
-        for *values, channels in _FIXED.iter_unpack(self._fixed):
-            end = position + channels * _COUNT.size
-            yield _chunk(values, self._counts[position:end])
-            position = end
-
-    def append(self, chunk: WrittenChunk) -> None:
-        """Add the chunk that was written last."""
-        self._fixed += _FIXED.pack(
-            chunk.offset,
-            chunk.crc,
-            chunk.start,
-            chunk.end,
-            chunk.length,
-            chunk.packed,
-            chunk.size,
-            len(chunk.counts),
+    def kept(self) -> bytes:
+        """As it is kept."""
+        fixed = _FIXED.pack(
+            self.offset, self.crc, self.start, self.end, self.length, self.packed, self.size
         )
-        for entry in chunk.counts.items():
-            self._counts += _COUNT.pack(*entry)
+        return fixed + b"".join(_COUNT.pack(*entry) for entry in self.counts.items())
 
-    def pop(self) -> WrittenChunk:
-        """Remove the last chunk, and return it."""
-        *values, channels = _FIXED.unpack(self._fixed[-_FIXED.size :])
-        begin = len(self._counts) - channels * _COUNT.size
-        chunk = _chunk(values, self._counts[begin:])
-        del self._fixed[-_FIXED.size :], self._counts[begin:]
-        return chunk
+    @classmethod
+    def from_kept(cls, data: bytes) -> WrittenChunk:
+        """What was kept."""
+        offset, crc, start, end, length, packed, size = _FIXED.unpack_from(data)
+        counts = dict(_COUNT.iter_unpack(data[_FIXED.size :]))
+        return cls(offset, crc, start, end, length, packed, size, counts)
