@@ -53,7 +53,17 @@ THIS_PYTHON = [sys.executable, sys.version.split()[0]]
 
 # Folders of a package that are linked or listed when it is installed: a new file in them needs a
 # new build, a changed one does not. Python modules need none: the installed package is a link.
-LISTED = ("bin", "path", "resource", "motors", "experiments", "sweeps", "parameters", "layouts")
+LISTED = (
+    "bin",
+    "path",
+    "resource",
+    "motors",
+    "experiments",
+    "maps",
+    "sweeps",
+    "parameters",
+    "layouts",
+)
 # Files of a package that a build reads.
 READ = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt", "msg/*", "srv/*", "action/*")
 

@@ -35,6 +35,16 @@ def schemes(
     return _beginning_with(incomplete, TABLE["scheme"].choices or ())
 
 
+def maps(
+    context: click.Context, parameter: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Offer the maps of measured files there are, or else files."""
+    from pwm_node import yaml_files
+
+    named = _beginning_with(incomplete, yaml_files.available("maps"))
+    return named or [CompletionItem(incomplete, type="file")]
+
+
 def changes(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:

@@ -20,6 +20,8 @@ _COLUMNS: tuple[tuple[str, str, Sequence[str]], ...] = (
     ("feedback", "dc_voltage", ("u_dc_V",)),
     ("command", "duty", ("duty_a", "duty_b", "duty_c")),
     ("command", "enable", ("enable",)),
+    ("command", "vectors", ("vector_1", "vector_2")),
+    ("command", "dwell", ("dwell_1", "dwell_2")),
     ("lut", "i_dq", ("i_d_A", "i_q_A")),
     ("lut", "i_dq_ref", ("i_d_ref_A", "i_q_ref_A")),
     ("lut", "prediction_error", ("prediction_error_d_A", "prediction_error_q_A")),

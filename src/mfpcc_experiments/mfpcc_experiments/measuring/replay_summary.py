@@ -152,6 +152,8 @@ def recorded(samples: Samples, window_s: Sequence[float] | None = None) -> dict[
     if row is None or not there[rows].all() or _off(samples, rows):
         return None
     error = lut["prediction_error"][row[rows]]
+    if np.isnan(error).any():
+        return None  # imported: the predictions were not recorded
     return {
         "lut_error_max": per_axis(np.abs(error).max(axis=0)),
         "lut_error_rms": per_axis(np.sqrt(np.mean(error**2, axis=0))),

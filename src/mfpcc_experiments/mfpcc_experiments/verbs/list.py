@@ -10,8 +10,9 @@ import click
 
 @click.command()
 def command() -> None:
-    """Show the experiments, schemes and motors there are."""
+    """Show the experiments, schemes, motors and maps of measured files there are."""
     from mfpcc_controller.parameters import TABLE
+    from mfpcc_experiments.importing import mapping
     from mfpcc_experiments.running import scenario
     from pmsm_sim import motor
     from pwm_node import yaml_files
@@ -19,6 +20,7 @@ def command() -> None:
     _show("experiments", yaml_files.available("experiments"), scenario.load)
     _show("schemes", TABLE["scheme"].choices)
     _show("motors", yaml_files.available("motors"), motor.load)
+    _show("maps", yaml_files.available("maps"), mapping.load)
 
 
 def _show(title: str, names: Iterable[str], load: Callable[[str], Any] | None = None) -> None:

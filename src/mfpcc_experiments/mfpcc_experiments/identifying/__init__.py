@@ -1,0 +1,7 @@
+"""
+What a recording tells of the drive it is of.
+
+From the bottom: `steps` (samples and the voltages between them), `linear` (one step ahead by least
+squares: the bound that predictions are judged against), `delay`, `connection` (signs, phases, the
+encoder's zero), `model` and `fit` (motor, inverter and sensors, with confidence intervals).
+"""
