@@ -2,7 +2,8 @@
 Recordings of measured drives, in the files of other tools, as bags.
 
 `import_file` writes the bag; `mapping` says what the columns of a file are, `tables` and `text`
-read them in pieces (`block`), `clock` numbers the rows by periods, `samples` makes samples and commands.
+read them in pieces (`block`), `clock` numbers the rows by periods, `samples` makes samples and
+commands.
 """
 
 from __future__ import annotations
