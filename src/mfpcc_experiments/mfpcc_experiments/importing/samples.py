@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mfpcc_experiments.importing.block import Block
 from mfpcc_experiments.importing.clock import Clock, sample_time
 from mfpcc_experiments.importing.errors import ImportFailedError
 from mfpcc_experiments.importing.mapping import Column, Map
-from mfpcc_experiments.importing.tables import Block, Table
+from mfpcc_experiments.importing.tables import Table
 
 _SQRT3 = math.sqrt(3.0)
 _TWO_PI = 2.0 * math.pi
