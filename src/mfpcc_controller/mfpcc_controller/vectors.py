@@ -27,6 +27,8 @@ LEGS = np.array(
 )
 
 SIN_60 = 0.5 * math.sqrt(3.0)
+_INV_SQRT3 = 1.0 / math.sqrt(3.0)
+_THIRD = 1.0 / 3.0
 
 #: Length of an active vector over u_dc (method section 1)
 ACTIVE_LENGTH = 2.0 / 3.0
@@ -93,4 +95,4 @@ def signs(slope, i_dq, turn):
     s_a = min(max(slope * i_a, -1.0), 1.0)
     s_b = min(max(slope * i_b, -1.0), 1.0)
     s_c = min(max(-slope * (i_a + i_b), -1.0), 1.0)
-    return complex((2.0 * s_a - s_b - s_c) / 3.0, (s_b - s_c) * SIN_60 / 1.5) * turn
+    return complex(_THIRD * (2.0 * s_a - s_b - s_c), _INV_SQRT3 * (s_b - s_c)) * turn

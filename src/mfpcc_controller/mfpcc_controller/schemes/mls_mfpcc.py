@@ -43,13 +43,9 @@ take from each leg a voltage with the sign of its current. *EMF.* Its 5th and 7t
 6th in the rotor frame.
 
 *Memory by directions.* The fit is recursive, with a covariance P that says how well each direction
-is known (a Kalman filter whose coefficients walk at random about their first guess):
-
-    K = P x / (r + x' P x),  theta <- theta + K e',  P <- P - K x' P
-
-and each period one row and column of P is drawn a little towards the first guess's. Where nothing
-moves, nothing is learned, and two causes that cannot be told apart stay as they were between
-themselves. The constant c takes what no regressor explains; it follows with a fixed share of each
+is known (`least_squares`): where nothing moves, nothing is learned, and two causes that cannot be
+told apart stay as they were between themselves. All the while P is drawn a little towards the first
+guess's. The constant c takes what no regressor explains; it follows with a fixed share of each
 error, whatever the noise is. r, the mean square of e', counts every error by at most 25 times its
 expectation; of an error that was cut P takes the same share less, since it told less.
 
@@ -89,7 +85,7 @@ from typing import Any
 
 import numpy as np
 
-from mfpcc_controller import search
+from mfpcc_controller import least_squares, search
 from mfpcc_controller.diagnostics import show_gradients, show_shares
 from mfpcc_controller.schemes.built_in import BuiltIn
 from mfpcc_controller.vectors import ACTIVE_LENGTH, next_vector, scaled, signs, square
@@ -97,7 +93,7 @@ from pwm_node.compiled import kernel
 from pwm_node.parameters import Parameter
 
 # Regressors: u(k), u(k-1), i (2 each), w, 1, s (2), cos 6 theta, sin 6 theta
-_N = 12
+_N = least_squares.N
 _CONSTANT = 7
 
 # How far from its first guess each coefficient may be, for regressors of about one. The unit is
@@ -156,7 +152,7 @@ CFG = np.dtype(
         ("per_i", np.float64),  # 1 / current limit (1/A)
         ("per_w", np.float64),  # 1 / top speed (s/rad, electrical)
         ("slope", np.float64),  # of the signs (1/A)
-        ("walk", np.float64),  # share by which a row of P is drawn to the first guess, in its turn
+        ("walk", np.float64),  # share by which P is drawn to the first guess in a period
         ("least_noise", np.float64),  # (A^2)
     ],
     align=True,
@@ -166,15 +162,9 @@ MEMORY = np.dtype(
     [
         ("ready", np.bool_),  # there is a table
         ("begun", np.bool_),  # x, the filter and the past voltage are those of this run
-        # coefficients of d and q (A), their covariance (A^2; its lower half), its first diagonal
-        ("d", np.float64, (_N,)),
-        ("q", np.float64, (_N,)),
-        ("P", np.float64, (_N, _N)),
-        ("P_first", np.float64, (_N,)),
-        ("row", np.int64),  # of P, whose turn it is
-        ("x", np.float64, (_N,)),  # regressors of the period that the next error is about
-        ("x_next", np.float64, (_N,)),  # those of the period after it that are no voltage
-        ("Px", np.float64, (_N,)),
+        # coefficients of d and q (A), and their covariance (A^2)
+        *least_squares.FIELDS,
+        ("x_next", np.float64, (_N,)),  # regressors of the period after x's that are no voltage
         ("of_voltage", np.float64),  # share of the last error that went to B
         ("s", np.float64),  # expected square of the error, per axis (A^2)
         ("r", np.float64),  # mean square of the noise, per axis (A^2)
@@ -186,9 +176,7 @@ MEMORY = np.dtype(
         ("e", np.complex128),  # last error, and what of it the filter left (A)
         ("e_left", np.complex128),
         ("e_sq", np.float64),  # mean of |e|^2 (A^2)
-        # references of the samples before: what the current has to be at k + 1 and at k
-        ("i_due_next", np.complex128),
-        ("i_due", np.complex128),
+        ("i_due", np.complex128),  # what the current has to be at k + 1: the last reference (A)
         ("v_past", np.complex128),  # v of the period before, over its unit (dq)
         # the table: natural entry (A per period, dq), and answers to 1 V on the d and the q axis
         ("g_0", np.complex128),
@@ -208,7 +196,7 @@ def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
     own["per_i"] = 1.0 / i_max
     own["per_w"] = 0.01 / cfg["w_rest"]
     own["slope"] = 1.0 / (_SIGN * i_max)
-    own["walk"] = 0.5 * _N * _WALK * cfg["T_s"] / _WALK_TIME
+    own["walk"] = _WALK * cfg["T_s"] / _WALK_TIME
     own["least_noise"] = (_NOISE_LEAST * i_max) ** 2
 
 
@@ -218,14 +206,8 @@ def _fill(cfg, mem):
     own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
     gain = cfg.i_max if own.empty else 2.0 * cfg.T_s / (cfg.L_d + cfg.L_q) * own.u
     for a in range(_N):
-        lut.d[a], lut.q[a] = 0.0, 0.0
-        width = _WIDTHS[a] * (cfg.i_max if a in _OF_CURRENT else gain)
-        lut.P_first[a] = width * width
-        for b in range(_N):
-            lut.P[a, b] = 0.0
-        lut.P[a, a] = width * width
+        least_squares.begin(lut, a, _WIDTHS[a] * (cfg.i_max if a in _OF_CURRENT else gain))
     lut.d[0], lut.q[1] = gain, gain
-    lut.row = 0
     lut.r = (_NOISE_FIRST * cfg.i_max) ** 2
     lut.samples = _NOISE_FIRST_SAMPLES
     lut.share = _SHARE
@@ -252,81 +234,48 @@ def _settled(noise, i, due):
 
 
 @kernel
-def _regress(x, slope, w, i_s, turn):
+def _regress(own, x, w, i_s, turn):
     """Fill in the regressors of the natural response; `w` is over top speed."""
-    s = signs(slope, i_s, turn)
+    s = signs(own.slope, i_s, turn)
     t_2 = turn * turn
     t_6 = t_2 * t_2 * t_2
+    x[4], x[5] = own.per_i * i_s.real, own.per_i * i_s.imag
     x[6], x[7] = w, 1.0
     x[8], x[9] = s.real, s.imag
     x[10], x[11] = w * t_6.real, -w * t_6.imag
 
 
 @kernel
-def _rest(d, q, x):
-    """What neither voltage nor current make of the natural response (A per period)."""
-    rest_d, rest_q = 0.0, 0.0
-    for a in range(6, _N):
-        rest_d += x[a] * d[a]
-        rest_q += x[a] * q[a]
-    return complex(rest_d, rest_q)
+def _rest(b, x):
+    """What neither voltage nor current make of one axis' natural response (A per period)."""
+    return b[6] * x[6] + b[7] + (b[8] * x[8] + b[9] * x[9]) + (b[10] * x[10] + b[11] * x[11])
 
 
 @kernel
 def _fit(cfg, mem, e_d, e_q, e_sq):
     """Correct all coefficients by an error, and their covariance."""
     own, lut = cfg.mls_mfpcc, mem.mls_mfpcc
-    P, x, Px = lut.P, lut.x, lut.Px
-    for a in range(_N):
-        x_a = x[a]
-        product = P[a, a] * x_a
-        for b in range(a):
-            product += P[a, b] * x[b]
-            Px[b] += P[a, b] * x_a
-        Px[a] = product
-    of_voltage, known = 0.0, 0.0
-    for a in range(4):
-        of_voltage += x[a] * Px[a]
-    for a in range(4, _N):
-        known += x[a] * Px[a]
-    known += of_voltage
     noise = max(lut.r, own.least_noise)
-    s = noise + known
+    s = noise + lut.known
     lut.s = s
     weight = 1.0 / s
+    mem.eta = lut.known * weight
+    lut.of_voltage = lut.of_first / lut.known if lut.known > 0.0 else 0.0
     bound = 1.0
     if e_sq > _LIMIT * s:
         bound = math.sqrt(_LIMIT * s / e_sq)
-        e_d *= bound
-        e_q *= bound
         mem.bounded = True
-    for a in range(_N):
-        K = weight * Px[a]
-        lut.d[a] += K * e_d
-        lut.q[a] += K * e_q
-        K *= bound
-        for b in range(a + 1):
-            P[a, b] -= K * Px[b]
-
-    row = lut.row
-    lut.row = row + 1 if row + 1 < _N else 0
-    keep = 1.0 - own.walk
-    for b in range(row + 1):
-        P[row, b] *= keep
-    for a in range(row, _N):
-        P[a, row] *= keep
-    P[row, row] += (1.0 - keep * keep) * lut.P_first[row]
-    if P[_CONSTANT, _CONSTANT] < lut.P_first[_CONSTANT]:
+    by = bound * weight
+    least_squares.correct(lut, by * e_d, by * e_q, by)
+    least_squares.walk(lut, own.walk)
+    if lut.P[_CONSTANT, _CONSTANT] < lut.P_first[_CONSTANT]:
         follow = _FOLLOW * _FOLLOW
         if lut.r < noise:
             follow *= min(noise / lut.r, _FOLLOW_MORE)
         if lut.share > _COLOURED:
             more = (lut.share - _COLOURED) / (_SHARE_MOST - _COLOURED)
             follow *= 1.0 + more * (_FOLLOW_MORE - 1.0)
-        P[_CONSTANT, _CONSTANT] += follow * noise
-
-    mem.eta = known * weight
-    lut.of_voltage = of_voltage / known if known > 0.0 else 0.0
+        lut.P[_CONSTANT, _CONSTANT] += follow * noise
 
 
 @kernel
@@ -362,15 +311,14 @@ def _begin(cfg, mem):
     own, lut, i_dq = cfg.mls_mfpcc, mem.mls_mfpcc, mem.i_dq
     lut.i_f = i_dq
     lut.e, lut.e_left = 0j, 0j
-    lut.i_due, lut.i_due_next = i_dq, i_dq
+    lut.i_due = i_dq
     if not mem.contiguous:
         lut.v_past = scaled(own.per_u * mem.u_dc, mem.now.u * mem.turn_now)
         return
     lut.v_past = scaled(own.per_u * mem.u_dc, mem.past.u * mem.turn_past)
     x, i_past, u, turn = lut.x, mem.i_dq_past, lut.v_past, cfg.T_s * mem.w_m
     x[0], x[1], x[2], x[3] = u.real, u.imag, u.real, u.imag
-    x[4], x[5] = own.per_i * i_past.real, own.per_i * i_past.imag
-    _regress(x, own.slope, own.per_w * mem.w_m, i_past, mem.turn_past)
+    _regress(own, x, own.per_w * mem.w_m, i_past, mem.turn_past)
     left_d = i_dq.real - i_past.real - turn * i_past.imag
     left_q = i_dq.imag - i_past.imag + turn * i_past.real
     for a in range(_N):
@@ -421,49 +369,55 @@ def step(cfg, mem):
     b_0, b_1 = (d[0], d[1], q[0], q[1]), (d[2], d[3], q[2], q[3])
     b = (d[0] + d[2], d[1] + d[3], q[0] + q[2], q[1] + q[3])
     det = b[0] * b[3] - b[1] * b[2]
-    size = b[0] * b[0] + b[1] * b[1] + b[2] * b[2] + b[3] * b[3]
-    if det < 0.5 * _FLAT * size or b[0] + b[3] <= 0.0:
+    d_sq, q_sq, dq = b[0] * b[0] + b[1] * b[1], b[2] * b[2] + b[3] * b[3], b[0] * b[2] + b[1] * b[3]
+    if det < 0.5 * _FLAT * (d_sq + q_sq) or b[0] + b[3] <= 0.0:
         # not yet one that could be inverted
-        det = 0.5 * size
+        det = 0.5 * (d_sq + q_sq)
+        d_sq, q_sq, dq = det, det, 0.0
         b = (math.sqrt(det), 0.0, 0.0, math.sqrt(det))
     inverse = 1.0 / det
     decay = (own.per_i * d[4], own.per_i * d[5], own.per_i * q[4], own.per_i * q[5])
     turn = cfg.T_s * mem.w_m
+    w = own.per_w * mem.w_m
+    noise = _NEAR * math.sqrt(max(lut.r, own.least_noise))
 
     # predict
-    noise = _NEAR * math.sqrt(max(lut.r, own.least_noise))
-    w = own.per_w * mem.w_m
     u = scaled(own.per_u * mem.u_dc, mem.now.u * mem.turn_now)
-    i_s = _settled(noise, i_x, lut.i_due)
+    y = lut.x_next
     if fresh:
+        _regress(own, y, w, i_x, mem.turn_now)
         lut.v_past += _turned(turn, _needed(inverse, b, mem.i_dq_past))
     v = u + _turned(turn, _needed(inverse, b, i_x))
     x[0], x[1], x[2], x[3] = v.real, v.imag, lut.v_past.real, lut.v_past.imag
-    x[4], x[5] = own.per_i * i_s.real, own.per_i * i_s.imag
-    _regress(x, own.slope, w, i_s, mem.turn_now)
-    i_1 = i_f + _answer(decay, i_f) + _answer(b_0, v) + _answer(b_1, lut.v_past) + _rest(d, q, x)
+    for a in range(4, _N):
+        x[a] = y[a]
+    x[6] = w
+    least_squares.foresee(lut)
+    forced = _answer(b_0, v) + _answer(b_1, lut.v_past)
+    i_1 = i_f + _answer(decay, i_f) + forced + complex(_rest(d, x), _rest(q, x))
     lut.v_past = v
 
-    # what the current of period k + 1 does by itself, and less the voltage that holds it
-    y = lut.x_next
-    _regress(y, own.slope, w, _settled(noise, i_1, lut.i_due_next), mem.turn_next)
-    rest = _rest(d, q, y)
-    held = _needed(inverse, b, rest + _answer(decay, i_1)) + _turned(turn, _needed(inverse, b, i_1))
-    lut.g_0 = _answer(b, held)
+    # what the current of period k + 1 does by itself: the rest and M i_1, M = A - w T_s B J B^-1
+    _regress(own, y, w, _settled(noise, i_1, lut.i_due), mem.turn_next)
+    rest = complex(_rest(d, y), _rest(q, y))
+    w_B = turn * inverse
+    m = (decay[0] - w_B * dq, decay[1] + w_B * d_sq, decay[2] - w_B * q_sq, decay[3] + w_B * dq)
+    lut.g_0 = rest + _answer(m, i_1)
 
     # where the current ends when what is under way has arrived, and from there to the reference
-    i_2 = i_1 + _answer(b_1, u + held)
-    held = _needed(inverse, b, rest + _answer(decay, i_2)) + _turned(turn, _needed(inverse, b, i_2))
+    i_2 = i_1 + _answer(b_1, u + _needed(inverse, b, lut.g_0))
+    natural = rest + _answer(m, i_2)
     if d[0] + q[1] > 0.0 and d[0] * q[1] - d[1] * q[0] > det:
         # nothing comes late, but what comes decays: the answer of one period is that of B_0
+        natural = _answer(b_0, _needed(inverse, b, natural))
         b = b_0
-    wish = search.correction(cfg, mem, i_2) - _answer(b, held)
+    wish = search.correction(cfg, mem, i_2) - natural
     lut.m_d = complex(own.per_u * b[0], own.per_u * b[2])
     lut.m_q = complex(own.per_u * b[1], own.per_u * b[3])
     u_1 = scaled(ACTIVE_LENGTH * mem.u_dc, mem.turn_next)
     search.choose(cfg, wish, _response(lut, u_1), _response(lut, next_vector(u_1)), mem.next)
     mem.i_hat = i_1
-    lut.i_due, lut.i_due_next = lut.i_due_next, mem.i_dq_ref
+    lut.i_due = mem.i_dq_ref
 
 
 @kernel
