@@ -95,6 +95,16 @@ def test_smoothing_keeps_an_acceleration():
     assert waveform.smooth_angle(theta, 100) == pytest.approx(theta, abs=1e-9)
 
 
+@pytest.mark.parametrize(("values", "samples"), [(6, 100), (99, 100), (101, 101), (3000, 100)])
+def test_smoothing_is_that_of_savitzky_and_golay(values: int, samples: int) -> None:
+    from scipy.signal import savgol_filter
+
+    theta = np.random.default_rng(values).normal(size=values).cumsum()
+    length = min(values, samples) // 2 * 2 - 1
+    smooth = savgol_filter(theta, length, 2, mode="interp")
+    assert waveform.smooth_angle(theta, samples) == pytest.approx(smooth, abs=1e-9)
+
+
 def test_oversampled_angle():
     theta = np.array([0.0, 0.4, 0.8])
     fine = waveform.oversample_angle(theta, 4)

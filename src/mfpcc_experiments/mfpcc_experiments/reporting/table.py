@@ -177,8 +177,6 @@ def best(values: Sequence[Sequence[float | None]]) -> list[bool]:
     list of bool
         One per column.
     """
-    from scipy.stats import ttest_ind
-
     samples = {
         n: [float(v) for v in each if v is not None]
         for n, each in enumerate(values)
@@ -187,6 +185,8 @@ def best(values: Sequence[Sequence[float | None]]) -> list[bool]:
     marks = [False] * len(values)
     if len(samples) < 2:
         return marks
+    from scipy.stats import ttest_ind  # a second of import, for several seeds of several columns
+
     lowest = min(samples, key=lambda n: statistics.fmean(samples[n]))
     level = LEVEL / math.comb(len(samples), 2)
     among = set()
