@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import rclpy
 from ament_index_python.packages import get_package_prefix
 from domains import own_domain
 from harness import Process
@@ -16,6 +17,15 @@ def domain() -> Iterator[int]:
     """A ROS domain that no other test on this machine has."""
     with own_domain() as number:
         yield number
+
+
+@pytest.fixture
+def context(domain: int) -> Iterator[rclpy.Context]:
+    """For nodes in this process: they leave the graph with the test, even with one that fails."""
+    it = rclpy.Context()
+    rclpy.init(args=[], context=it)
+    yield it
+    rclpy.try_shutdown(context=it)
 
 
 @pytest.fixture

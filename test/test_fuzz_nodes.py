@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import fuzz
 import numpy as np
 import pytest
-import rclpy
 from mfpcc_msgs.msg import DutyCommand, PhaseFeedback
 
 from mfpcc_controller.node import MfpccController
 from pmsm_sim.node import PmsmSim
 from pwm_node.wire import HEADER, Wire
-
-
-@pytest.fixture
-def context(domain: int) -> Iterator[Any]:
-    it = rclpy.Context()
-    rclpy.init(args=[], context=it)
-    yield it
-    rclpy.try_shutdown(context=it)
 
 
 def started(kind: type, context: Any) -> Any:

@@ -69,14 +69,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return now
 
 
-@pytest.fixture
-def context(domain: int) -> Iterator[rclpy.Context]:
-    it = rclpy.Context()
-    rclpy.init(args=[], context=it)
-    yield it
-    rclpy.try_shutdown(context=it)
-
-
 def test_each_tick_is_a_period_and_lost_time_is_left_out(
     context: rclpy.Context, clock: list[float]
 ) -> None:

@@ -28,14 +28,11 @@ class Kept:
 
 
 @pytest.fixture
-def recorder(domain: int) -> Iterator[Recorder]:
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
+def recorder(context: rclpy.Context) -> Iterator[Recorder]:
     kept: Any = Kept()
     node = Recorder(kept, context=context)
     yield node
     node.destroy_node()
-    rclpy.try_shutdown(context=context)
 
 
 def feed(recorder: Recorder, topic: str, periods: list[int]) -> None:
@@ -73,9 +70,7 @@ def test_a_recorder_is_told_where_to(capsys: pytest.CaptureFixture[str]) -> None
     assert "give --out, --black-box, or both" in capsys.readouterr().err
 
 
-def test_the_first_answer_of_the_controller_waits_for_its_recorder(domain: int) -> None:
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
+def test_the_first_answer_of_the_controller_waits_for_its_recorder(context: rclpy.Context) -> None:
     waits = RosParameter("recorders", value=1)
     controller = MfpccController(context=context, parameter_overrides=[waits])
     executor = EventsExecutor(context=context)
@@ -92,7 +87,7 @@ def test_the_first_answer_of_the_controller_waits_for_its_recorder(domain: int) 
     controller._on_feedback(sample.to_bytes())
     assert not answered()
     recorder = Recorder(context=context)
-    plant = controller.create_subscription(DutyCommand, "duty_command", print, 10)
+    plant = controller.create_subscription(DutyCommand, "duty_command", lambda _: None, 10)
     until(answered, "the sample is answered once everybody is there")
     assert len(list(recorder._inputs)) == 2
     controller.destroy_subscription(plant)
@@ -100,4 +95,3 @@ def test_the_first_answer_of_the_controller_waits_for_its_recorder(domain: int) 
     executor.shutdown()
     controller.stop()
     controller.destroy_node()
-    rclpy.try_shutdown(context=context)

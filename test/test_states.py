@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -312,12 +312,10 @@ class Drive(RuleBasedStateMachine):
 
 
 @pytest.fixture
-def drives(domain: int) -> Iterator[type[Drive]]:
+def drives(context: rclpy.Context) -> type[Drive]:
     """The machine, with a context for its nodes."""
-    Drive.context = rclpy.Context()
-    rclpy.init(args=[], context=Drive.context)
-    yield Drive
-    rclpy.try_shutdown(context=Drive.context)
+    Drive.context = context
+    return Drive
 
 
 def test_the_gates_are_as_the_model_says(drives: type[Drive]) -> None:

@@ -235,6 +235,7 @@ def test_recover(fake: Fake, capsys: pytest.CaptureFixture[str]) -> None:
     assert "one/mbpcc: 10 messages saved" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("no_vectors")
 def test_a_real_run_in_process(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -121,6 +121,7 @@ def test_the_report_needs_nothing_but_itself(compared):
     assert str(out.parent) not in text
 
 
+@pytest.mark.usefixtures("no_vectors")
 def test_text_from_recordings_is_escaped(make_bag, tmp_path):
     evil = "</script><script>alert(1)</script><img src=x onerror=alert(2)>[bold]$x_$"
     paths = [
@@ -136,6 +137,7 @@ def test_text_from_recordings_is_escaped(make_bag, tmp_path):
     table.print_table(rows)
 
 
+@pytest.mark.usefixtures("no_vectors")
 def test_figures_of_recordings_that_lack_topics(make_bag, drive_messages, tmp_path):
     only = ("phase_feedback", "duty_command")
     source = (m for m in drive_messages(3500) if m[0] in only)
@@ -188,6 +190,7 @@ def test_what_lut_error_is_stands_where_it_comes_first(compared, capsys):
     assert "Prediction error: measured minus predicted current" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("no_vectors")
 def test_changes_of_a_run_are_told_with_its_figures(make_bag, tmp_path):
     bag_ = make_bag(config=config(scenario={"changes": {"mls.window": 10, "duration": 0.3}}))
     (row,) = compare.compare([bag_], tmp_path / "out")
@@ -196,6 +199,7 @@ def test_changes_of_a_run_are_told_with_its_figures(make_bag, tmp_path):
     assert text in (tmp_path / "out/report.html").read_text()
 
 
+@pytest.mark.usefixtures("no_vectors")
 def test_another_window_than_the_recorded_one(bags, tmp_path):
     (row, *_) = compare.compare(bags[:1], tmp_path / "out", window_s=(0.15, 0.25))
     assert row["window_s"] == [0.15, 0.25]
@@ -309,6 +313,7 @@ def test_chance_has_the_nominal_rate_and_true_differences_are_found():
     assert np.mean(found) > 0.7
 
 
+@pytest.mark.usefixtures("no_vectors")
 def test_seeds_of_one_setup_are_one_column(make_bag, tmp_path):
     """In a folder of results, with one configuration but for the seed."""
 

@@ -91,6 +91,7 @@ def slow_deadbeat(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     object.__setattr__(known, "choices", choices)
 
 
+@pytest.mark.usefixtures("no_vectors")
 @pytest.mark.parametrize("event", ["fallback", "trip", "switch", "gap"])
 def test_every_verb_says_the_same_words(
     event: str,
