@@ -221,7 +221,7 @@ def test_a_paced_drive_waits_for_no_recorder(
     nodes = [start(*each, "--ros-args", "--params-file", str(file)) for each in programs]
     recorder = start("mfpcc_experiments", "record", "--out", str(tmp_path / "bag"))
     recorder.wait_for("recording into")
-    outside.until_beyond(2000, "the drive runs")
+    outside.until_beyond(100, "the drive runs")
 
     def recorded() -> bool:
         outside.look()
@@ -230,9 +230,9 @@ def test_a_paced_drive_waits_for_no_recorder(
     until(recorded, "it is recorded")
     recorder.signal(signal.SIGSTOP)
     # more than publisher and subscriber keep, 5000 messages each
-    outside.until_beyond(outside.period + 15_000, "the drive goes on without its recorder")
+    outside.until_beyond(outside.period + 12_000, "the drive goes on without its recorder")
     recorder.signal(signal.SIGCONT)
-    outside.until_beyond(outside.period + 2000, "the recorder takes again")
+    outside.until_beyond(outside.period + 1000, "the recorder takes again")
     assert recorder.end(signal.SIGINT) == 1
     assert "phase_feedback: " in recorder.output and "messages are missing" in recorder.output
     for node in nodes:

@@ -53,9 +53,6 @@ def compare(
     BagError, MetricsError
         If a recording cannot be read or measured. Nothing is written then.
     """
-    # matplotlib takes its time to load
-    from mfpcc_experiments.reporting import figures, report
-
     if not paths:
         raise BagError("no recordings to compare")
 
@@ -65,6 +62,9 @@ def compare(
 
     runs = measure(paths, lambda share: tell(_READING * share), window_s, namespace)
     rows = [run.row for run in runs]
+    # matplotlib takes its time to load: only for what can be compared
+    from mfpcc_experiments.reporting import figures, report
+
     out = Path(out)
     (out / "figures").mkdir(parents=True, exist_ok=True)
     drawn = figures.draw(shown(runs), out / "figures")
