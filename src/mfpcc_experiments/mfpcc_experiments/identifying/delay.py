@@ -72,9 +72,7 @@ def estimate(steps: Steps, tried: range = TRIED) -> Delay | None:
     rms: dict[int, float] = {}
     count, nearest = 0, None
     for delay in sorted(tried, key=abs):
-        found = fit(
-            stretch.later(delay), most=_STRETCH, inverter=False, sensors=False, near=nearest
-        )
+        found = fit(stretch.later(delay), most=_STRETCH, rough=True, near=nearest)
         if found is None:
             return None
         if nearest is None or found.rms < nearest.rms:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,19 +17,23 @@ from mfpcc_experiments.identifying.steps import Steps
 _MOST = 60_000
 # Of the largest current: below it the sign of a leg's current is not certain.
 _UNCERTAIN = 0.03
-# How far parameters may be from where the fit begins: natural logarithms of R and L, and the
+# How far parameters may be from where the fit begins: natural logarithms of R, L and tau, and the
 # others in units of their scale; where the data do not tell, this is what is not known.
-_PRIOR = np.array([3.0, 3.0, 3.0, 3.0, 3.0, 10.0, 10.0, 3.0, 3.0, 3.0, 3.0])
-_LOGARITHMIC = np.array([True] * 3 + [False] * 8)
+_PRIOR = np.array([3.0, 3.0, 3.0, 3.0, 1.0, 10.0, 3.0, 3.0, 3.0, 3.0, 3.0])
+_LOGARITHMIC = np.array([name in ("R_s", "L_d", "L_q", "tau") for name in NAMES])
 _BLOCKS = 60
 # Share of the current's variance: a fit that leaves less began at the right place.
 _WELL = 0.05
 _MOST_ITERATIONS = 30
+# Where the fit of a lag begins, in periods.
+_LAG = 0.3
+# Natural logarithm of how much likelier a lag has to make the data.
+_BETTER = 10.0
 # Normal distribution: 95 % lie within so many standard deviations.
 _TWO_SIDED = 1.96
 # Share of a value that the model itself may be off: means over periods, straight lines between
 # samples. No interval is narrower than that.
-_MODEL = np.array([0.004, 0.004, 0.004, 0.001, 0.001] + [0.0] * 6)
+_MODEL = np.array([0.006, 0.005, 0.005, 0.003] + [0.0] * 7)
 
 
 @dataclass(frozen=True)
@@ -84,9 +89,8 @@ class _Problem:
         self.s_ab = direction(middle, _UNCERTAIN * i_max)
         u_max = max(float(np.abs(u).max()), 1e-9)
         w_max = max(float(np.abs(steps.w_m).max()), 1.0)
-        T = steps.T_s
         self.scale = np.array(
-            [1.0, 1.0, 1.0, u_max / w_max, u_max / w_max, 0.01 * u_max, T]
+            [1.0, 1.0, 1.0, u_max / w_max, 1.0, 0.01 * u_max, 1.0]
             + [0.01 * i_max] * 2
             + [0.1 * i_max] * 2
         )
@@ -105,7 +109,6 @@ class _Problem:
         with np.errstate(over="ignore"):
             par[_LOGARITHMIC] *= np.exp(moved[_LOGARITHMIC])
         par[~_LOGARITHMIC] += moved[~_LOGARITHMIC] * self.scale[~_LOGARITHMIC]
-        par[6] = max(par[6], 0.0)
         return par
 
     def residual(self, par: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -127,8 +130,7 @@ def fit(
     steps: Steps,
     *,
     most: int = _MOST,
-    inverter: bool = True,
-    sensors: bool = True,
+    rough: bool = False,
     near: Fit | None = None,
 ) -> Fit | None:
     """
@@ -140,8 +142,9 @@ def fit(
         The recording.
     most : int
         Steps to use at most.
-    inverter, sensors : bool
-        Whether to look for a voltage of dead time, and for bandwidth and offsets of the sensors.
+    rough : bool
+        Motor and lag of the sensors only: no dead time, no offsets, and no judgement whether there
+        is a lag at all.
     near : Fit, optional
         Another one, to begin with its values.
 
@@ -154,26 +157,29 @@ def fit(
     if len(stretch.period) < FEWEST + 1:
         return None
     free = ["R_s", "L_d", "L_q", "i_d0", "i_q0"]
-    if np.ptp(stretch.theta_m) > np.pi:
-        free += ["psi_d", "psi_q"]
-    if inverter:
-        free.append("u_dead")
-    if sensors:
-        free += ["offset_a", "offset_b"]
+    if _turns(stretch):
+        free += ["psi_f", "zero"]
     begin = [] if near is None else [np.array([near.values[name] for name in NAMES[:5]])]
-    plain = _solve(stretch, tuple(free), [*begin, *_starts(stretch)])
-    if not sensors:
-        return plain[0]
+    starts = [*begin, *_starts(stretch)]
+    lag = [0.0, _LAG * stretch.T_s]  # of u_dead and tau
+    if rough:
+        return _solve(stretch, (*free, "tau"), [np.append(start, lag) for start in starts])[0]
+    free += ["u_dead", "offset_a", "offset_b"]
+    plain, at = _solve(stretch, tuple(free), starts)
     # A low-pass only where it explains more than chance does.
-    lag = plain[1].copy()
-    lag[NAMES.index("tau")] = 0.2 * stretch.T_s
-    with_lag = _solve(stretch, (*free, "tau"), [lag])
-    better = 2 * plain[0].steps * np.log(plain[0].rms / max(with_lag[0].rms, 1e-12))
-    return with_lag[0] if better > 10.0 and with_lag[0].values["tau"] > 0.0 else plain[0]
+    at[NAMES.index("tau")] = _LAG * stretch.T_s
+    lagging, _ = _solve(stretch, (*free, "tau"), [at])
+    better = 2 * plain.steps * np.log(plain.rms / max(lagging.rms, 1e-12))
+    return lagging if better > _BETTER else plain
+
+
+def _turns(stretch: Steps) -> bool:
+    """Whether the rotor turns by so much that its EMF can be told from the rest."""
+    return bool(np.ptp(stretch.theta_m) > np.pi)
 
 
 def _starts(stretch: Steps) -> list[NDArray[np.float64]]:
-    """Where to begin with R_s, L_d, L_q, psi_d, psi_q: what one step ahead tells, and guesses."""
+    """Where to begin with R_s, L_d, L_q, psi_f, zero: what one step ahead tells, and guesses."""
     found = one_step(stretch)
     T = stretch.T_s
     u, i = np.abs(stretch.u_s_ab[:-1]), np.abs(stretch.i_s_ab)
@@ -186,7 +192,10 @@ def _starts(stretch: Steps) -> list[NDArray[np.float64]]:
             b_d, b_q = (b_d or b_q) if b_d > 0.0 else b_q, b_q if b_q > 0.0 else b_d
             L_d, L_q = T / b_d, T / b_q
             R = max(-c[1, 1] * L_q / T, 1e-3 * L_q / T)
-            told = np.array([R, L_d, L_q, -c[4, 1] * L_q / T, c[4, 0] * L_d / T])
+            psi = complex(-c[4, 1] * L_q / T, c[4, 0] * L_d / T)
+            if not _turns(stretch):
+                psi = 0j
+            told = np.array([R, L_d, L_q, abs(psi), cmath.phase(psi)])
             guesses = [told, *guesses, told * [1.0, 0.3, 0.3, 1.0, 1.0]]
     return guesses
 
@@ -204,7 +213,12 @@ def _solve(
     for guess in starts:
         problem.begin(guess)
         found = least_squares(
-            problem.vector, zero, args=(noise,), x_scale="jac", max_nfev=_MOST_ITERATIONS
+            problem.vector,
+            zero,
+            args=(noise,),
+            method="lm",
+            x_scale="jac",
+            max_nfev=_MOST_ITERATIONS * (len(zero) + 1),
         )
         if best is None or found.cost < best[0]:
             best = found.cost, problem.parameters(found.x), found.jac
@@ -230,11 +244,8 @@ def _judged(problem: _Problem, noise: float) -> Fit:
         x[k] = step
         up = problem.vector(x, 1.0)
         x[k] = -step
-        # A lag cannot be negative: there its slope is that of one side.
         down = problem.vector(x, 1.0)
-        one_sided = problem.free[6] and np.flatnonzero(problem.free)[k] == 6
-        one_sided = one_sided and problem.start[6] < step * problem.scale[6]
-        columns.append((up - down)[: 2 * n] / (step if one_sided else 2.0 * step))
+        columns.append((up - down)[: 2 * n] / (2.0 * step))
     jacobian = np.stack(columns, axis=1) / sigma
     e = np.concatenate([residual.real, residual.imag]) / sigma
     prior = np.diag(1.0 / _PRIOR[problem.free] ** 2)

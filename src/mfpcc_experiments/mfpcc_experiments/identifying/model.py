@@ -3,12 +3,13 @@ The drive as a model that is fitted: the measured current from voltage, angle an
 
 In the rotor frame, with the mean voltage of a period constant in the stationary frame,
 
-    L_d di_d/dt = u_d - R_s i_d + w_m (L_q i_q + psi_q)
-    L_q di_q/dt = u_q - R_s i_q - w_m (L_d i_d + psi_d)
+    L_d di_d/dt = u_d - R_s i_d + w_m L_q i_q
+    L_q di_q/dt = u_q - R_s i_q - w_m (L_d i_d + psi_f)
 
 u_d, u_q are without the voltage that dead time and on-state voltages take, u_dead in the direction
-of the legs' currents (a vector of known shape, so that its size is the only unknown). psi_q = 0
-where the encoder's zero is right. The sensors are a first-order low-pass in the stationary frame,
+of the legs' currents (a vector of known shape, so that its size is the only unknown). The rotor
+frame lies by `zero` ahead of the angle that is given: 0 where the encoder's zero is right. The
+sensors are a first-order low-pass in the stationary frame,
 and have offsets. Nothing measured enters but the angle: so noise of the currents does not bias the
 parameters, as it does in a prediction from sample to sample, and feedback of a controller does no
 harm (an output-error model; L. Ljung, System Identification, 2nd ed., sections 4.3 and 13.4).
@@ -27,8 +28,8 @@ NAMES = (
     "R_s",
     "L_d",
     "L_q",
-    "psi_d",
-    "psi_q",
+    "psi_f",
+    "zero",
     "u_dead",
     "tau",
     "offset_a",
@@ -39,13 +40,13 @@ NAMES = (
 
 
 @kernel
-def _slope_d(R_s, L_d, L_q, psi_q, w, u, i_d, i_q):
-    return (u.real - R_s * i_d + w * (L_q * i_q + psi_q)) / L_d
+def _slope_d(R_s, L_d, L_q, w, u, i_d, i_q):
+    return (u.real - R_s * i_d + w * L_q * i_q) / L_d
 
 
 @kernel
-def _slope_q(R_s, L_d, L_q, psi_d, w, u, i_d, i_q):
-    return (u.imag - R_s * i_q - w * (L_d * i_d + psi_d)) / L_q
+def _slope_q(R_s, L_d, L_q, psi_f, w, u, i_d, i_q):
+    return (u.imag - R_s * i_q - w * (L_d * i_d + psi_f)) / L_q
 
 
 @kernel
@@ -56,7 +57,7 @@ def simulate(par, T_s, theta, w_m, u_s_ab, s_ab, out):
     Parameters
     ----------
     par : ndarray, shape (11,)
-        As `NAMES`: ohm, H, H, V s, V s, V, s, A, A, A, A.
+        As `NAMES`: ohm, H, H, V s, rad, V, s, A, A, A, A.
     T_s : float
         (s)
     theta, w_m : ndarray, shape (n,)
@@ -66,7 +67,7 @@ def simulate(par, T_s, theta, w_m, u_s_ab, s_ab, out):
     out : ndarray of complex, shape (n,)
         Becomes the measured current in the stationary frame (A).
     """
-    R_s, L_d, L_q, psi_d, psi_q, u_dead, tau = (
+    R_s, L_d, L_q, psi_f, zero, u_dead, tau = (
         par[0],
         par[1],
         par[2],
@@ -77,7 +78,7 @@ def simulate(par, T_s, theta, w_m, u_s_ab, s_ab, out):
     )
     offset = complex(par[7], par[8])
     i_d, i_q = par[9], par[10]
-    turn = complex(math.cos(theta[0]), math.sin(theta[0]))
+    turn = complex(math.cos(theta[0] + zero), math.sin(theta[0] + zero))
     i_ab = complex(i_d, i_q) * turn
     y = i_ab
     decay = math.exp(-T_s / tau) if tau > 0.0 else 0.0
@@ -89,18 +90,19 @@ def simulate(par, T_s, theta, w_m, u_s_ab, s_ab, out):
         u_1 = u_0 * half
         u_2 = u_1 * half
         # Runge-Kutta of fourth order, the voltage turning in the rotor frame
-        a_d = _slope_d(R_s, L_d, L_q, psi_q, w, u_0, i_d, i_q)
-        a_q = _slope_q(R_s, L_d, L_q, psi_d, w, u_0, i_d, i_q)
+        a_d = _slope_d(R_s, L_d, L_q, w, u_0, i_d, i_q)
+        a_q = _slope_q(R_s, L_d, L_q, psi_f, w, u_0, i_d, i_q)
         h = 0.5 * T_s
-        b_d = _slope_d(R_s, L_d, L_q, psi_q, w, u_1, i_d + h * a_d, i_q + h * a_q)
-        b_q = _slope_q(R_s, L_d, L_q, psi_d, w, u_1, i_d + h * a_d, i_q + h * a_q)
-        c_d = _slope_d(R_s, L_d, L_q, psi_q, w, u_1, i_d + h * b_d, i_q + h * b_q)
-        c_q = _slope_q(R_s, L_d, L_q, psi_d, w, u_1, i_d + h * b_d, i_q + h * b_q)
-        d_d = _slope_d(R_s, L_d, L_q, psi_q, w, u_2, i_d + T_s * c_d, i_q + T_s * c_q)
-        d_q = _slope_q(R_s, L_d, L_q, psi_d, w, u_2, i_d + T_s * c_d, i_q + T_s * c_q)
+        b_d = _slope_d(R_s, L_d, L_q, w, u_1, i_d + h * a_d, i_q + h * a_q)
+        b_q = _slope_q(R_s, L_d, L_q, psi_f, w, u_1, i_d + h * a_d, i_q + h * a_q)
+        c_d = _slope_d(R_s, L_d, L_q, w, u_1, i_d + h * b_d, i_q + h * b_q)
+        c_q = _slope_q(R_s, L_d, L_q, psi_f, w, u_1, i_d + h * b_d, i_q + h * b_q)
+        d_d = _slope_d(R_s, L_d, L_q, w, u_2, i_d + T_s * c_d, i_q + T_s * c_q)
+        d_q = _slope_q(R_s, L_d, L_q, psi_f, w, u_2, i_d + T_s * c_d, i_q + T_s * c_q)
         i_d += T_s / 6.0 * (a_d + 2.0 * (b_d + c_d) + d_d)
         i_q += T_s / 6.0 * (a_q + 2.0 * (b_q + c_q) + d_q)
-        turn = complex(math.cos(theta[k + 1]), math.sin(theta[k + 1]))
+        ahead = theta[k + 1] + zero
+        turn = complex(math.cos(ahead), math.sin(ahead))
         following = complex(i_d, i_q) * turn
         # The low-pass, of a current that goes straight from sample to sample
         lag = (following - i_ab) * (tau / T_s)
