@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 
+from mfpcc_experiments.scratch import held, left_over
 from pwm_node import interrupts
 from pwm_node.errors import ForPeople
 
@@ -82,18 +84,20 @@ def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
     ResultFolderError
         Before any work is done, if `path` may not be written to.
     """
-    _check(path, force)
     path = path.resolve()  # of a link, the folder it leads to is replaced, not the link
-    with interrupts.undone():
+    _clear_up(path.resolve())
+    _check(path, force)
+    with interrupts.undone(), ExitStack() as holding:
         new = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = _new_folder(path, "partial")
+        holding.enter_context(held(partial))
         try:
             yield partial
             _check(path, force)  # the work took its time: the folder may have appeared since
         except BaseException:
             with interrupts.finished():
-                if any(bag.stat().st_size > _EMPTY_BAG for bag in partial.rglob("*.mcap")):
+                if _has_recordings(partial):
                     click.echo(f"what was recorded until then is kept in {partial}", err=True)
                 else:
                     shutil.rmtree(partial, ignore_errors=True)
@@ -105,11 +109,30 @@ def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
             if path.exists():
                 # Two renames, so that there is never a folder with something of both.
                 replaced = _new_folder(path, "replaced")
+                holding.enter_context(held(path))
                 path.rename(replaced)
                 partial.rename(path)
                 shutil.rmtree(replaced)
             else:
                 partial.rename(path)
+
+
+def _clear_up(path: Path) -> None:
+    """Remove what runs that were killed have left beside their results; what may count stays."""
+    for folder in left_over(path.parent, f"{glob.escape(path.name)}.replaced-*"):
+        if path.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+        else:  # it was killed between two renames
+            folder.rename(path)
+    for folder in left_over(path.parent, f"{glob.escape(path.name)}.partial-*"):
+        if _has_recordings(folder):
+            click.echo(f"a run that was killed has left recordings in {folder}", err=True)
+        else:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _has_recordings(folder: Path) -> bool:
+    return any(bag.stat().st_size > _EMPTY_BAG for bag in folder.rglob("*.mcap"))
 
 
 def _new_folder(path: Path, what: str) -> Path:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import cached_property
@@ -23,6 +22,7 @@ from mfpcc_experiments.measuring.columns import columns
 from mfpcc_experiments.progress import progress_bar
 from mfpcc_experiments.running import ENGINES, Scenario, scenario
 from mfpcc_experiments.running import run as running
+from mfpcc_experiments.scratch import scratch
 from pwm_node.errors import ForPeople
 from pwm_node.names import unknown
 from pwm_node.parameters import ParameterError
@@ -195,7 +195,7 @@ def run(
     wanted.node_parameters(scheme, seed)  # what cannot be run is refused before anything is made
     with ExitStack() as stack:
         if out is None:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mfpcc-")))
+            folder = stack.enter_context(scratch("mfpcc-run-"))
         else:
             folder = stack.enter_context(result_folder(Path(out)))
         tell = (

@@ -11,12 +11,10 @@ be it bytes that nobody can read, it stays beside it as ``*.damaged``.
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 import zlib
 from array import array
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +31,7 @@ from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedErro
 from mfpcc_experiments.bags.metadata import METADATA, write_metadata
 from mfpcc_experiments.bags.provenance import CONFIG_RECORD, SUMMARY_RECORD, custom_data
 from mfpcc_experiments.bags.ragged import Tails
+from mfpcc_experiments.scratch import scratch
 
 _OWN_RECORDS = ("rosbag2", SUMMARY_RECORD)  # written anew
 
@@ -62,7 +61,7 @@ def recover(path: Path) -> str:
     # The metadata.yaml of a bag tells of all its parts: it is written when all were looked at.
     whole = path.is_dir() or len(list(folder.glob("*.mcap"))) == 1
     try:
-        with _workshop(folder) as workshop:
+        with scratch(".recover-", folder) as workshop:
             copies = [_Copy(file, workshop / file.name) for file in parts.files]
             tails = Tails()
             for copy in copies:
@@ -133,16 +132,6 @@ def _without_ragged_end(copy: _Copy, tails: Tails) -> _Copy:
     again = _Copy(copy.source, copy.sink.path, keep)
     again.run(Tails())
     return again
-
-
-@contextmanager
-def _workshop(folder: Path) -> Iterator[Path]:
-    """A folder of this process alone, on the same disk."""
-    workshop = Path(tempfile.mkdtemp(prefix=".recover-", dir=folder))
-    try:
-        yield workshop
-    finally:
-        shutil.rmtree(workshop, ignore_errors=True)
 
 
 def _replace(copy: _Copy) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,6 +12,7 @@ import yaml
 
 from mfpcc_experiments.bags import BagWriter, versions
 from mfpcc_experiments.graph.excerpt import STATUS, gently
+from mfpcc_experiments.scratch import scratch
 from pmsm_sim import motor
 from pwm_node.yaml_files import FileError
 
@@ -52,17 +52,17 @@ class Archive:
             Nothing has changed then.
         """
         self.directory.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".partial-", dir=self.directory) as work:
-            folder = Path(work, name)
+        with scratch(".partial-", self.directory) as work:
+            folder = work / name
             yield folder
             folder.rename(self.directory / name)
             pages = sorted(self.directory.glob(f"*/{PAGE}"), reverse=True)
             # each page is a list of one, so one after the other they are the list
             text = "".join(page.read_text(encoding="utf-8") for page in pages[:KEPT])
-            Path(work, LIST).write_text(_HEAD + text, encoding="utf-8")
-            os.replace(Path(work, LIST), self.directory / LIST)
+            (work / LIST).write_text(_HEAD + text, encoding="utf-8")
+            os.replace(work / LIST, self.directory / LIST)
             for page in pages[KEPT:]:
-                page.parent.rename(Path(work, page.parent.name))
+                page.parent.rename(work / page.parent.name)
 
 
 _HEAD = f"""\

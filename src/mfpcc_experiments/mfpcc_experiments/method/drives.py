@@ -7,10 +7,11 @@ a case says otherwise.
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import functools
 import hashlib
 import math
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import yaml
 from mfpcc_controller import motor as motors
 from mfpcc_experiments.files import write_whole
 from mfpcc_experiments.running.closed_loop import NOISE, Run, run
+from mfpcc_experiments.scratch import scratch
 from pwm_node import yaml_files
 
 ENCODER = {"sensor.encoder_lines": 2500}
@@ -62,14 +64,16 @@ def motor_like(name: str, **changes: float) -> str:
     values = yaml.safe_load(yaml_files.find("motors", name).read_text())
     text = yaml.safe_dump({**values, **changes})
     # processes that share the folder write the same file, or another one
-    path = Path(_folder().name) / f"{hashlib.sha256(text.encode()).hexdigest()}.yaml"
+    path = _folder() / f"{hashlib.sha256(text.encode()).hexdigest()}.yaml"
     write_whole(path, text)
     return str(path)
 
 
 @functools.cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="mfpcc_motors_")
+def _folder() -> Path:
+    work = contextlib.ExitStack()
+    atexit.register(work.close)
+    return work.enter_context(scratch("mfpcc-motors-"))
 
 
 def time_constant(seconds: float) -> str:

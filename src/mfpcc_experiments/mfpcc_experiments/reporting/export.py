@@ -12,7 +12,6 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from mfpcc_experiments.bags import Recording
 from mfpcc_experiments.measuring.columns import columns
+from mfpcc_experiments.scratch import scratch
 from pwm_node.errors import ForPeople
 from pwm_node.names import unknown
 
@@ -96,29 +96,19 @@ def export(recording: Recording, path: Path, form: str) -> list[Path]:
         raise ExportError(unknown("format", form, FORMATS))
     tables = {path: columns(recording)}
     waveform = oversampled(recording)
-    with ExitStack() as stack:
+    # beside the file, under other names, of which nothing is left at the end
+    with scratch(f".{path.name}.", path.parent) as work:
         if form == "mat":
-            _write_mat(_beside(stack, path), tables[path], waveform, recording.config)
+            _write_mat(work / path.name, tables[path], waveform, recording.config)
         else:
             if waveform:
                 tables[path.with_name(f"{path.stem}_oversampled{path.suffix}")] = waveform
             write = _write_csv if form == "csv" else _write_parquet
             for file, table in tables.items():
-                write(_beside(stack, file), table, recording.config)
+                write(work / file.name, table, recording.config)
         for file in tables:
-            os.replace(_temporary(file), file)
+            os.replace(work / file.name, file)
     return list(tables)
-
-
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}")
-
-
-def _beside(stack: ExitStack, path: Path) -> Path:
-    """A name to write under, of which nothing is left at the end."""
-    temporary = _temporary(path)
-    stack.callback(temporary.unlink, missing_ok=True)
-    return temporary
 
 
 def _write_csv(path: Path, table: Columns, _: Mapping[str, Any]) -> None:

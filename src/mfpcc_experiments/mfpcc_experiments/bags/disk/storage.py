@@ -8,7 +8,6 @@ rosbag2 has all of these. Each file comes in pieces of bounded size.
 from __future__ import annotations
 
 import sqlite3
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from mfpcc_experiments.bags.disk import mcap_file
 from mfpcc_experiments.bags.disk.mcap_file import Topic
 from mfpcc_experiments.bags.disk.mcap_format import MAGIC
 from mfpcc_experiments.bags.errors import BagError, DamagedError, UnfinishedError
+from mfpcc_experiments.scratch import scratch
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _SQLITE = b"SQLite format 3\0"
@@ -110,8 +110,8 @@ def contents(
 @contextmanager
 def _unpacked(file: Path) -> Iterator[Path]:
     """A file that is packed as a whole, unpacked as long as it is needed."""
-    with tempfile.TemporaryDirectory(prefix="mfpcc-") as folder:
-        plain = Path(folder) / (file.name.removesuffix(".zstd") or "bag")
+    with scratch("mfpcc-unpacked-") as folder:
+        plain = folder / (file.name.removesuffix(".zstd") or "bag")
         try:
             with open(file, "rb") as packed, open(plain, "wb") as out:
                 reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
