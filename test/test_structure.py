@@ -25,8 +25,8 @@ MAY_IMPORT = {
 }
 #: Of mfpcc_experiments, from the bottom up: none imports one that comes after it.
 ROOMS = (
-    "bags", "measuring", "identifying", "importing", "reporting", "graph", "running", "sweeping",
-    "paper", "proofs",
+    "bags", "measuring", "identifying", "importing", "reporting", "graph", "running", "firmware",
+    "sweeping", "paper", "proofs",
     "method", "datasheet", "verbs",
 )  # fmt: skip
 LONGEST_FILE = 500  # lines

@@ -8,7 +8,7 @@ setup(
     name=package,
     version="0.1.0",
     packages=find_packages(include=[package, f"{package}.*"]),
-    package_data={package: ["py.typed", "reporting/templates/*"]},
+    package_data={package: ["py.typed", "reporting/templates/*", "firmware/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mfpcc_controller import model, motor, plug_in, protection, schemes
+from mfpcc_controller import firmware, model, motor, plug_in, protection, schemes
 from mfpcc_controller.observer import observe, turned_by
 from mfpcc_controller.protection import FAULTS
 from mfpcc_controller.records import CONTROL_CFG, CONTROL_MEMORY
@@ -266,6 +266,7 @@ class Controller:
         self.mem["active"] = -1
         self.mem["chosen"] = -1
         self._plug_in: plug_in.Host | None = None
+        self._firmware: firmware.Firmware | None = None
         self._control: Callable[..., Any] = control
         self.apply(values)
 
@@ -275,7 +276,7 @@ class Controller:
         twin.motor, twin.values = self.motor, dict(self.values)
         twin.cfg, twin.mem = self.cfg.copy(), self.mem.copy()
         twin._latch = twin.mem["guard"]["latch"][0]
-        twin._plug_in, twin._control = None, control
+        twin._plug_in, twin._firmware, twin._control = None, None, control
         return twin
 
     @property
@@ -381,8 +382,8 @@ class Controller:
 
     @property
     def compiled(self) -> bool:
-        """Whether `control` alone does a period, with no plug-in in Python between."""
-        return self._plug_in is None
+        """Whether `control` alone does a period: no plug-in in Python, and no firmware."""
+        return self._plug_in is None and self._firmware is None
 
     @property
     def complaint(self) -> str:
@@ -406,6 +407,11 @@ class Controller:
         want_diagnostics: bool,
     ) -> None:
         """One period, whoever is in control; parameters as of `control`."""
+        if self._firmware is not None:
+            self._firmware.step(
+                self.cfg, self.mem, feedback, command, diagnostics, want_diagnostics
+            )
+            return
         host = self._plug_in
         if host is None or _is_stale(self.mem, feedback):
             self._control(self.cfg, self.mem, feedback, command, diagnostics, want_diagnostics)
@@ -442,9 +448,12 @@ class Controller:
     def _choose_scheme(self, name: str) -> None:
         # also one that failed, chosen again, gets another chance
         self.mem["chosen"] = -1
+        self._plug_in = self._firmware = None
         if name in schemes.NAMES:
             self.cfg["scheme"] = schemes.NAMES.index(name)
-            self._plug_in = None
+        elif name.startswith(firmware.PREFIX):
+            self._firmware = firmware.Firmware(name)
+            self.cfg["scheme"] = self._firmware.scheme
         else:
             # a new number each time, so that the switch is seen
             self.cfg["scheme"] = max(int(self.cfg["scheme"][0]), _BUILT_IN - 1) + 1

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Mapping
+from typing import Any
 
-from mfpcc_controller import protection, schemes
+from mfpcc_controller import firmware, protection, schemes
 from pwm_node.parameters import (
     PWM_FREQUENCY,
     RECORDERS,
     SCHEDULE,
     Parameter,
+    ParameterError,
     Table,
     Value,
     file_parameter,
@@ -31,6 +33,19 @@ OVERMODULATIONS = ("scale", "project")
 CONTROL_MODES = ("speed", "current")
 
 
+class _Scheme(Parameter):
+    """A scheme by its name, or a firmware by its folder."""
+
+    def validate(self, value: Any) -> Value:
+        if not isinstance(value, str) or not value.startswith(firmware.PREFIX):
+            return super().validate(value)
+        try:
+            firmware.Firmware(value)  # compiles it, while no motor waits
+        except firmware.FirmwareError as error:
+            raise ParameterError(str(error)) from None
+        return value
+
+
 def _check(values: Mapping[str, Value]) -> str | None:
     """Rules across several parameters."""
     reasons = (scheme.check(values) for scheme in schemes.BUILT_IN)
@@ -41,7 +56,12 @@ TABLE = Table(
     [
         file_parameter("motor", "seed_750", "motors", "Motor"),
         PWM_FREQUENCY,
-        Parameter("scheme", "mls_mfpcc", "Current-control scheme", choices=(*SCHEMES, *PLUG_INS)),
+        _Scheme(
+            "scheme",
+            "mls_mfpcc",
+            "Current-control scheme; 'firmware:FOLDER': the one in C of that folder",
+            choices=(*SCHEMES, *PLUG_INS),
+        ),
         Parameter(
             "fallback_scheme",
             "pi_foc",

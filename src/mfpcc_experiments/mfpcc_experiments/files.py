@@ -62,7 +62,7 @@ def write_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 @contextmanager
-def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
+def result_folder(path: Path, *, force: bool = False, mark: str = MARK) -> Iterator[Path]:
     """
     Make a folder of results: work in a neighbour of it, which then takes its place.
 
@@ -72,6 +72,8 @@ def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
         Where the results shall be.
     force : bool
         Replace results that are there already. Anything else is never replaced.
+    mark : str
+        The file by which such results are known.
 
     Yields
     ------
@@ -84,6 +86,10 @@ def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
     ResultFolderError
         Before any work is done, if `path` may not be written to.
     """
+<<<<<<< HEAD
+=======
+    _check(path, force, mark)
+>>>>>>> 1d8dba9 (The controller as a C99 project: mfpcc firmware, and firmware:FOLDER in the loop)
     path = path.resolve()  # of a link, the folder it leads to is replaced, not the link
     _clear_up(path.resolve())
     _check(path, force)
@@ -94,7 +100,7 @@ def result_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
         holding.enter_context(held(partial))
         try:
             yield partial
-            _check(path, force)  # the work took its time: the folder may have appeared since
+            _check(path, force, mark)  # the work took its time: the folder may have appeared since
         except BaseException:
             with interrupts.finished():
                 if _has_recordings(partial):
@@ -148,7 +154,7 @@ def _new_folder(path: Path, what: str) -> Path:
             n += 1
 
 
-def _check(path: Path, force: bool) -> None:
+def _check(path: Path, force: bool, mark: str) -> None:
     if not path.exists():
         return
     if not path.is_dir():
@@ -157,9 +163,9 @@ def _check(path: Path, force: bool) -> None:
         raise ResultFolderError(f"{path} is where you are: choose a folder below it with --out")
     if not any(path.iterdir()):
         return
-    if not (path / MARK).is_file():
+    if not (path / mark).is_file():
         raise ResultFolderError(
-            f"{path} holds something else than results (it has no {MARK}): "
+            f"{path} holds something else than results (it has no {mark}): "
             "choose another folder with --out"
         )
     if not force:

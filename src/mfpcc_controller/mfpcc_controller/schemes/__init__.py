@@ -60,7 +60,9 @@ def _generated(head: str, lines: Iterable[str], **functions: Callable[..., Any])
     source = "\n    ".join([f"def {head}:", *lines])
     names: dict[str, Any] = {"__name__": __name__, **functions}
     exec(compile(source, __file__, "exec"), names)
-    return kernel(names[head.partition("(")[0]])
+    function = names[head.partition("(")[0]]
+    function.__source__ = source  # it stands in no file
+    return kernel(function)
 
 
 def _dispatch(head: str, kernels: Iterable[Callable[..., Any]]) -> Any:

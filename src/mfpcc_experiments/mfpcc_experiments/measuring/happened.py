@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mfpcc_controller import firmware
 from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.measuring.events import Change, Fault, Off, Reign
 from mfpcc_experiments.notes import Note, failure, info, warning
@@ -38,8 +39,13 @@ _OF_SCHEMES = ("SCHEME", "PREDICTION")
 
 
 def scheme_title(name: str) -> str:
-    """Name of a scheme as it is printed: ``mls_mfpcc`` is MLS-MFPCC."""
-    return " -> ".join(part.upper().replace("_", "-") for part in name.split(" -> "))
+    """Name of a scheme as it is printed: ``mls_mfpcc`` is MLS-MFPCC, ``firmware:F`` F in C."""
+    return " -> ".join(_title(part) for part in name.split(" -> "))
+
+
+def _title(name: str) -> str:
+    folder = firmware.folder_of(name)
+    return f"{folder.name} in C" if folder else name.upper().replace("_", "-")
 
 
 @dataclass(frozen=True)

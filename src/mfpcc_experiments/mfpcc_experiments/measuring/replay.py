@@ -215,7 +215,7 @@ class Samples:
             return f"{recording.lost_periods} periods are missing in the recording"
         return ""
 
-    def _changes(self, values: Mapping[str, Any]) -> list[tuple[int, schedule.Changes]]:
+    def changes(self, values: Mapping[str, Any]) -> list[tuple[int, schedule.Changes]]:
         """Changes of the controller's parameters by period: those that were recorded.
 
         A run in process records none, since it has only those of its schedule.
@@ -247,7 +247,7 @@ class Samples:
         if tell:
             values |= _UNPROTECTED
         controller = Controller(TABLE.complete(values))
-        due = self._changes(values)
+        due = self.changes(values)
         n = len(self.feedback)
         result = Replay(
             scheme=self.scheme if scheme is None else scheme,

@@ -67,6 +67,7 @@ def command(
     act on the motor, so it has no ripple and no THD; for those, run the experiment. The exit code
     is 3 if the recorded drive did not do what was asked for, or if a scheme gave no valid output.
     """
+    from mfpcc_controller.firmware import whole_name
     from mfpcc_controller.parameters import SCHEMES, TABLE
     from mfpcc_experiments import notes
     from mfpcc_experiments.bags import recording
@@ -77,7 +78,7 @@ def command(
     from pwm_node import compiled
     from pwm_node.parameters import ParameterError
 
-    schemes = tuple(dict.fromkeys(schemes)) or SCHEMES
+    schemes = tuple(dict.fromkeys(map(whole_name, schemes))) or SCHEMES
     try:
         for scheme in schemes:
             TABLE["scheme"].validate(scheme)
@@ -172,7 +173,7 @@ def _print(samples: Samples, results: list[Replay], rows: list[dict[str, Any]]) 
     for row in rows:
         first = row["first_difference"]
         table.add_row(
-            row["scheme"],
+            scheme_title(row["scheme"]) if row["scheme"].startswith("firmware:") else row["scheme"],
             *errors(row),
             number(row["duty_difference_max"]),
             number(row["voltage_difference_rms"], 2),

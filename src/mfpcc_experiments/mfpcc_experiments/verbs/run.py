@@ -89,6 +89,7 @@ def command(
     code is 3 where the drive did not do what was asked for (a trip, a fallback, messages that are
     missing, a pace that was not kept): the notes below the table say what.
     """
+    from mfpcc_controller.firmware import whole_name
     from mfpcc_controller.parameters import SCHEMES
     from mfpcc_experiments.files import result_folder
     from mfpcc_experiments.running import scenario
@@ -113,7 +114,7 @@ def command(
         except yaml_files.FileError as error:
             raise click.UsageError(str(error), context) from None
         wanted = scenario.load(path)
-    schemes = tuple(dict.fromkeys(schemes)) or SCHEMES
+    schemes = tuple(dict.fromkeys(map(whole_name, schemes))) or SCHEMES
     try:
         wanted = scenario.changed(wanted, changes)
         for scheme in schemes:
@@ -165,13 +166,14 @@ def _run_and_compare(
     from pwm_node import compiled
 
     several = len(seeds) > 1
+    names = _recording_names(schemes)
     bags: dict[str, list[Path]] = {scheme: [] for scheme in schemes}
     with progress_bar() as begin:
         compiled.announce()  # above the bar, which stands still meanwhile
         # Seed by seed, so that what changes with time on this machine is no scheme's doing.
         for seed in seeds:
             for scheme in schemes:
-                name = f"{scheme}_seed{seed}" if several else scheme
+                name = f"{names[scheme]}_seed{seed}" if several else names[scheme]
                 progress = begin(name, scenario.periods)
                 run.run(
                     scenario, scheme, engine, folder, seed, progress, separate=separate, name=name
@@ -179,3 +181,16 @@ def _run_and_compare(
                 bags[scheme].append(folder / name)
         paths = [path for each in bags.values() for path in each]
         return compare.compare(paths, folder, progress=begin("compare", 1.0))
+
+
+def _recording_names(schemes: Sequence[str]) -> dict[str, str]:
+    """Names of the recordings of schemes; a firmware's is that of its folder."""
+    from mfpcc_controller.firmware import folder_of
+
+    names: dict[str, str] = {}
+    for scheme in schemes:
+        folder = folder_of(scheme)
+        name = f"firmware_{folder.name}" if folder else scheme
+        alike = sum(other.startswith(name) for other in names.values()) if folder else 0
+        names[scheme] = f"{name}_{alike + 1}" if alike else name
+    return names

@@ -1,0 +1,51 @@
+"""The tables of docs/firmware.md: ``python -m mfpcc_experiments.firmware bits``."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from mfpcc_controller import schemes
+from mfpcc_experiments.bags import bags_in, recording
+from mfpcc_experiments.firmware import project, proof
+from mfpcc_experiments.measuring.replay import Samples
+
+_REFERENCE = Path("bags/reference")
+
+
+def bits(folder: Path) -> Iterator[str]:
+    """Every scheme over every reference recording, in C and compiled by numba."""
+    firmware = folder / "all"
+    firmware.mkdir()
+    project.write(project.chosen(["all"], {}, False), firmware, firmware, None)
+    recordings = [Samples(recording.read(bag)) for bag in sorted(bags_in(_REFERENCE))]
+    yield "| scheme | periods | commands | diagnostics | fields of the memory that differ |"
+    yield "|---|---|---|---|---|"
+    for scheme in schemes.NAMES:
+        found = [proof.agreement(each, scheme, f"firmware:{firmware}") for each in recordings]
+        periods, commands, told = (
+            sum(getattr(each, name) for each in found)
+            for name in ("periods", "commands", "diagnostics")
+        )
+        differ = sorted({field for each in found for field in each.memory})
+        yield f"| `{scheme}` | {periods} | {commands} | {told} | {', '.join(differ) or 'none'} |"
+
+
+_TABLES: dict[str, Callable[[Path], Iterator[str]]] = {"bits": bits}
+
+
+def main() -> int:
+    """Print the table that is named."""
+    if len(sys.argv) != 2 or sys.argv[1] not in _TABLES:
+        print(f"usage: python -m mfpcc_experiments.firmware {'|'.join(_TABLES)}", file=sys.stderr)
+        return 2
+    with tempfile.TemporaryDirectory() as folder:
+        for line in _TABLES[sys.argv[1]](Path(folder)):
+            print(line, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
