@@ -86,13 +86,9 @@ def result_folder(path: Path, *, force: bool = False, mark: str = MARK) -> Itera
     ResultFolderError
         Before any work is done, if `path` may not be written to.
     """
-<<<<<<< HEAD
-=======
-    _check(path, force, mark)
->>>>>>> 1d8dba9 (The controller as a C99 project: mfpcc firmware, and firmware:FOLDER in the loop)
     path = path.resolve()  # of a link, the folder it leads to is replaced, not the link
     _clear_up(path.resolve())
-    _check(path, force)
+    _check(path, force, mark)
     with interrupts.undone(), ExitStack() as holding:
         new = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
