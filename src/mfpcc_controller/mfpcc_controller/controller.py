@@ -270,14 +270,11 @@ class Controller:
         self._control: Callable[..., Any] = control
         self.apply(values)
 
-    def copy(self) -> Controller:
-        """Return one in the same state, of a compiled scheme."""
-        twin = Controller.__new__(Controller)
-        twin.motor, twin.values = self.motor, dict(self.values)
-        twin.cfg, twin.mem = self.cfg.copy(), self.mem.copy()
-        twin._latch = twin.mem["guard"]["latch"][0]
-        twin._plug_in, twin._firmware, twin._control = None, None, control
-        return twin
+    def begin_as(self, other: Controller) -> None:
+        """Take over the state of another controller, of a compiled scheme."""
+        self.motor, self.values = other.motor, dict(other.values)
+        self.cfg[:], self.mem[:] = other.cfg, other.mem
+        self._plug_in, self._firmware, self._control = None, None, control
 
     @property
     def scheme(self) -> str:

@@ -110,7 +110,7 @@ def test_values_that_are_wrong_together_are_told_with_their_row(tmp_path):
     plan = Plan(spec_of(tmp_path, vary=vary, runs=20))
     plan.check()
     with pytest.raises(SweepError, match=r"row \d+: 'inverter.dead_time' = .* half a PWM period"):
-        work.run(next(work.jobs(plan)))
+        next(work.jobs(plan)).run()
 
 
 def test_grids_take_all_and_draws_are_the_same_in_each(tmp_path):
@@ -188,7 +188,7 @@ def test_a_row_is_the_run_that_is_recorded(tmp_path, monkeypatch):
     plan = Plan(spec_of(tmp_path, **content))
     plan.check()
     folder = folders.begin(tmp_path / "out", plan, work.fingerprint(), resume=False)
-    folder.keep(0, work.run(next(work.jobs(plan))))
+    folder.keep(0, next(work.jobs(plan)).run())
     rows = rows_of(folder.path)
     assert [row["row"] for row in rows] == list(range(12))
     assert {row["motor"] for row in rows} == {"seed_750", "textbook_spmsm"}
@@ -214,7 +214,7 @@ def small(tmp_path, monkeypatch):
     assert plan.chunks == 8
     folder = folders.begin(tmp_path / "whole", plan, work.fingerprint(), resume=False)
     for job in work.jobs(folder.plan):
-        folder.keep(job.number, work.run(job))
+        folder.keep(job.number, job.run())
     return plan, {n: folder.file(n).read_bytes() for n in range(plan.chunks)}
 
 
@@ -230,7 +230,8 @@ def test_a_killed_worker_is_replaced_and_its_chunk_done_again(small, tmp_path, m
             os.kill(self.process.pid, signal.SIGKILL)
 
     monkeypatch.setattr(local._Worker, "begin", begin_and_kill)
-    found = dict(local.run(work.jobs(plan), 2))
+    with local.pool(2) as pool:
+        found = dict(pool.run(work.jobs(plan)))
     assert found == whole
     assert len(hired) == plan.chunks + 2
 
@@ -244,8 +245,8 @@ def test_a_chunk_that_kills_every_worker_is_given_up(small, tmp_path, monkeypatc
         os.kill(self.process.pid, signal.SIGKILL)
 
     monkeypatch.setattr(local._Worker, "begin", begin_and_kill)
-    with pytest.raises(SweepError, match="3 workers died of it"):
-        dict(local.run(work.jobs(plan), 1))
+    with local.pool(1) as pool, pytest.raises(SweepError, match="3 workers died of it"):
+        dict(pool.run(work.jobs(plan)))
 
 
 def command(*arguments):
@@ -275,7 +276,7 @@ def test_a_killed_sweep_goes_on_and_gives_the_same_bytes(tmp_path):
     assert not list(killed.glob(".*"))
     own = folders.load(killed)
     for job in work.jobs(own.plan):
-        assert own.file(job.number).read_bytes() == work.run(job)
+        assert own.file(job.number).read_bytes() == job.run()
     assert len(rows_of(killed)) == 1200
 
     other = call("sweep", spec, "--out", killed, "--resume", "--scheme", "mbpcc")
@@ -327,7 +328,7 @@ def test_a_cluster_gives_the_same_bytes_and_loses_a_worker(tmp_path):
         assert sweep.wait() == 0, sweep.output
     own = folders.load(out)
     for job in work.jobs(own.plan):
-        assert own.file(job.number).read_bytes() == work.run(job)
+        assert own.file(job.number).read_bytes() == job.run()
 
 
 def test_a_worker_that_would_give_other_rows_is_refused_by_name():

@@ -46,7 +46,7 @@ def folder(tmp_path_factory):
         path / "out", Plan(load(path / "spec.yaml")), work.fingerprint(), resume=False
     )
     for job in work.jobs(made.plan):
-        made.keep(job.number, work.run(job))
+        made.keep(job.number, job.run())
     return made
 
 

@@ -212,22 +212,34 @@ FIGURES = (*KEYS, *BESIDES)
 
 
 class _Kept(Generic[Part]):
-    """What was set up before, to be copied for drives that begin alike."""
+    """What was set up before, for drives that begin alike."""
 
     def __init__(self) -> None:
         self._key: tuple[Any, ...] = ()
         self._kept: Part | None = None
+        self._twin: Part | None = None
 
     def get(
-        self, key: tuple[Any, ...], set_up: Callable[[], Part], copy: Callable[[Part], Part]
+        self,
+        key: tuple[Any, ...],
+        set_up: Callable[[], Part],
+        begin: Callable[[Part, Part], None],
     ) -> Part:
-        """Return one for this key; where nothing but it differs from run to run, none is kept."""
+        """
+        Return one for this key.
+
+        Where nothing but the key differs from run to run, none is kept. Else `begin(twin, kept)`
+        has a second one begin as the one that is kept.
+        """
         if not key or key != self._key:
             self._key, self._kept = key, None
             return set_up()
         if self._kept is None:
             self._kept = set_up()
-        return copy(self._kept)
+        if self._twin is None:
+            self._twin = set_up()
+        begin(self._twin, self._kept)
+        return self._twin
 
 
 class Batch:
@@ -257,7 +269,7 @@ class Batch:
         self.signals = np.empty((len(SIGNALS), n))
         self.i_abc = np.zeros((n, 3 * oversampling))
         self._legs = np.zeros(oversampling, np.uint8)
-        self._seen = np.zeros(1, _STATE)
+        self._seen, self._unseen = np.zeros(1, _STATE), np.zeros(1, _STATE)
         kinds = (DutyCommand, PhaseFeedback, DriveState, LutDiagnostics)
         self._messages = [Wire(kind).fixed for kind in kinds]
         self._fresh = [message.copy() for message in self._messages]
@@ -281,16 +293,20 @@ class Batch:
         return np.concatenate(outcomes) if outcomes else np.zeros(0, OUTCOME)
 
     def one(self, drive: Drive, outcome: NDArray[np.void]) -> tuple[Plant, Controller]:
-        """Run a drive; returns it as it is at the end. `outcome` has one row, of `OUTCOME`."""
+        """
+        Run a drive. `outcome` has one row, of `OUTCOME`.
+
+        Returns plant and controller as they are at the end, which the next drive may change.
+        """
         plant = self._plants.get(
             drive.plant_key,
             lambda: Plant(drive.plant, drive.plant_motor),
-            lambda plant: plant.copy(seed=drive.plant["seed"]),
+            lambda plant, like: plant.begin_as(like, seed=drive.plant["seed"]),
         )
         controller = self._controllers.get(
             drive.controller_key,
             lambda: Controller(drive.controller, drive.controller_motor),
-            lambda controller: controller.copy(),
+            Controller.begin_as,
         )
         seen, row = self._begin(drive), outcome[0]
         arguments = [plant.par, plant.st, controller.cfg, controller.mem, *self._messages, seen]
@@ -320,7 +336,7 @@ class Batch:
 
     def _begin(self, drive: Drive) -> NDArray[np.void]:
         motor, seen = drive.controller_motor, self._seen
-        seen[:] = np.zeros(1, _STATE)
+        seen[:] = self._unseen
         seen["first"], seen["end"] = self._first, self._end
         seen["active"] = -1
         course = seen["course"]

@@ -142,7 +142,7 @@ def run(
                 if job_ is None:
                     break
                 workers = frozenset(crew.threads)
-                future = client.submit(work.run, job_, workers=sorted(workers), pure=False)
+                future = client.submit(Job.run, job_, workers=sorted(workers), pure=False)
                 waiting[future] = job_, workers
             if not waiting:
                 if crew.threads:

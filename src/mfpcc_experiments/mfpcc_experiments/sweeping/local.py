@@ -1,4 +1,4 @@
-"""A sweep on the cores of this machine: one process for each, and a new one for one that dies."""
+"""Jobs on the cores of this machine: one process for each, and a new one for one that dies."""
 
 from __future__ import annotations
 
@@ -6,15 +6,32 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import contextmanager
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
+from typing import Any, Protocol
 
 from mfpcc_experiments.sweeping.errors import SweepError
-from mfpcc_experiments.sweeping.work import Job
 
-# A chunk that so many workers died of is not their fault.
+# A job that so many workers died of is not their fault.
 _ATTEMPTS = 3
+
+
+class Job(Protocol):
+    """
+    What a worker process can do, here or elsewhere; it can be pickled.
+
+    Attributes
+    ----------
+    number : int
+        By which its result is known.
+    """
+
+    @property
+    def number(self) -> int: ...
+
+    def run(self) -> Any:
+        """Do it, and return its result."""
 
 
 class _Worker:
@@ -48,65 +65,94 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def run(jobs: Iterator[Job], workers: int) -> Iterator[tuple[int, bytes]]:
+class Pool:
     """
-    Do jobs.
+    Worker processes, which last from the first job on until `end`.
 
     Parameters
     ----------
-    jobs : iterator of Job
-        Taken one by one.
     workers : int
-        Processes.
-
-    Yields
-    ------
-    number, data : int, bytes
-        Of each chunk, as they are done.
-
-    Raises
-    ------
-    SweepError
-        If a row cannot be run, or every worker dies of a chunk.
+        How many.
     """
-    attempts: dict[int, int] = {}
-    again: list[Job] = []
-    with ExitStack() as stack:
-        pool: dict[Connection, _Worker] = {}
 
-        def hire() -> _Worker:
-            worker = _Worker()
-            stack.callback(worker.end)
-            pool[worker.pipe] = worker
-            return worker
+    def __init__(self, workers: int) -> None:
+        self._size = workers
+        self._workers: dict[Connection, _Worker] = {}
+
+    def end(self) -> None:
+        """End all of them."""
+        for worker in self._workers.values():
+            worker.end()
+        self._workers.clear()
+
+    def run(self, jobs: Iterator[Job]) -> Iterator[tuple[int, Any]]:
+        """
+        Do jobs.
+
+        Parameters
+        ----------
+        jobs : iterator of Job
+            Taken one by one.
+
+        Yields
+        ------
+        number, result : int, Any
+            Of each job, as they are done.
+
+        Raises
+        ------
+        SweepError
+            If a job cannot be done, or every worker dies of it.
+        """
+        attempts: dict[int, int] = {}
+        again: list[Job] = []
 
         def busy(worker: _Worker) -> None:
+            worker.job = None
             job = again.pop() if again else next(jobs, None)
             if job is not None:
                 worker.begin(job)
 
-        for _ in range(workers):
-            busy(hire())
-        while any(worker.job for worker in pool.values()):
-            for pipe in wait([pipe for pipe, worker in pool.items() if worker.job]):
-                worker = pool[pipe]  # type: ignore[index]
+        while len(self._workers) < self._size:
+            self._hire()
+        for worker in self._workers.values():
+            busy(worker)
+        while working := [pipe for pipe, worker in self._workers.items() if worker.job]:
+            for pipe in wait(working):
+                worker = self._workers[pipe]  # type: ignore[index]
                 job = worker.job
                 assert job is not None
                 try:
-                    number, data, complaint = worker.pipe.recv()
+                    number, result, complaint = worker.pipe.recv()
                 except (EOFError, ConnectionResetError):
-                    del pool[worker.pipe]
+                    del self._workers[worker.pipe]
                     attempts[job.number] = attempts.get(job.number, 0) + 1
                     if attempts[job.number] >= _ATTEMPTS:
                         raise SweepError(
                             f"chunk {job.number}: {_ATTEMPTS} workers died of it, the last with "
                             f"exit code {worker.process.wait()}; --resume goes on after the others"
                         ) from None
+                    worker.end()
                     again.append(job)
-                    busy(hire())
+                    busy(self._hire())
                     continue
                 if complaint:
                     raise SweepError(complaint)
                 worker.job = None
-                yield number, data
+                yield number, result
                 busy(worker)
+
+    def _hire(self) -> _Worker:
+        worker = _Worker()
+        self._workers[worker.pipe] = worker
+        return worker
+
+
+@contextmanager
+def pool(workers: int) -> Iterator[Pool]:
+    """Worker processes, which end with the `with` block."""
+    found = Pool(workers)
+    try:
+        yield found
+    finally:
+        found.end()

@@ -1,16 +1,19 @@
-"""The progress of a sweep: how much is done, how fast, and how long it still takes."""
+"""The progress of many jobs: how much is done, how fast, and how long it still takes."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import timedelta
-from types import TracebackType
 
 from rich import progress
 from rich.console import Console
 
+from pwm_node import interrupts
+
 
 class _Rate(progress.ProgressColumn):
-    """Runs per second since the start, and the time that the rest takes at that rate."""
+    """How many per second since the start, and the time that the rest takes at that rate."""
 
     def render(self, task: progress.Task) -> str:  # type: ignore[override]
         done = task.completed - task.fields["before"]
@@ -18,49 +21,48 @@ class _Rate(progress.ProgressColumn):
             return ""
         rate = done / task.elapsed
         left = round(((task.total or 0.0) - task.completed) / rate)
-        return f"{rate:,.0f} runs/s, {timedelta(seconds=left)} left"
+        shown = f"{rate:,.1f}" if rate < 100.0 else f"{rate:,.0f}"
+        return f"{shown} {task.description}/s, {timedelta(seconds=left)} left"
 
 
 class Progress:
     """
-    A progress bar on stderr.
+    What there is to be told while the work lasts.
 
     Parameters
     ----------
-    rows, done : int
+    bar : rich.progress.Progress
+        Where it is shown.
+    unit : str
+        What is counted.
+    total, done : int
         How many there are, and how many were there before.
     """
 
-    def __init__(self, rows: int, done: int) -> None:
+    def __init__(self, bar: progress.Progress, unit: str, total: int, done: int) -> None:
         self.done = done
-        self._console = Console(stderr=True)
-        self._bar = progress.Progress(
-            progress.TextColumn("sweep"),
-            progress.BarColumn(),
-            progress.TaskProgressColumn(),
-            progress.TextColumn("{task.completed:,.0f} of {task.total:,.0f}"),
-            _Rate(),
-            console=self._console,
-        )
-        self._task = self._bar.add_task("sweep", total=rows, completed=done, before=done)
+        self._bar = bar
+        self._task = bar.add_task(unit, total=total, completed=done, before=done)
 
-    def __enter__(self) -> Progress:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
-
-    def add(self, rows: int) -> None:
+    def add(self, count: int) -> None:
         """So many more are done."""
-        self.done += rows
+        self.done += count
         self._bar.update(self._task, completed=self.done)
 
     def say(self, text: str) -> None:
         """Say something above the bar."""
-        self._console.print(text, highlight=False, soft_wrap=True)
+        self._bar.console.print(text, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def counted(name: str, unit: str, total: int, done: int) -> Iterator[Progress]:
+    """Show a progress bar on stderr while the work lasts; an interrupt takes it away."""
+    columns = (
+        progress.TextColumn(name),
+        progress.BarColumn(),
+        progress.TaskProgressColumn(),
+        progress.TextColumn("{task.completed:,.0f} of {task.total:,.0f}"),
+        _Rate(),
+    )
+    with interrupts.undone(), progress.Progress(*columns, console=Console(stderr=True)) as bar:
+        yield Progress(bar, unit, total, done)

@@ -58,6 +58,43 @@ class Job:
     first: int
     columns: dict[str, NDArray[Any]]
 
+    def run(self) -> bytes:
+        """
+        Run its rows, as `outcomes`.
+
+        Returns
+        -------
+        bytes
+            A Parquet file.
+        """
+        import pyarrow
+        from pyarrow import parquet
+
+        sweep, outcome = _sweep(self.sweep), outcomes(self)
+        n = len(outcome)
+        table: dict[str, Any] = {
+            "row": np.arange(self.first, self.first + n),
+            "scheme": pyarrow.array([self.scheme] * n).dictionary_encode(),
+            **{name: self.columns[name] for name in sweep["vary"] if name != "seed"},
+            "seed": self.columns["seed"],
+            "survived": survived(outcome, sweep["survived"]),
+            "steady": pyarrow.array(outcome["steady"] == 1, mask=outcome["steady"] < 0),
+            "i_peak": outcome["i_peak"],
+            "i_peak_over_limit": outcome["i_peak_over_limit"],
+            "faults": pyarrow.array(_faults(outcome)).dictionary_encode(),
+            "fell_back": outcome["fell_back"],
+            "ran_away": outcome["ran_away"],
+        }
+        for name in dict.fromkeys(
+            [*sweep["metrics"], *filter(FIGURES.__contains__, sweep["survived"])]
+        ):
+            # what there is not is null, as in metrics.json
+            figure = np.ascontiguousarray(outcome["figures"][:, FIGURES.index(name)])
+            table[name] = pyarrow.array(figure, from_pandas=True)
+        file = io.BytesIO()
+        parquet.write_table(pyarrow.table(table), file, compression="zstd", version="2.6")
+        return file.getvalue()
+
 
 def shared(plan: Plan) -> dict[str, Any]:
     """What is the same in all chunks of a sweep."""
@@ -102,44 +139,6 @@ def outcomes(job: Job) -> NDArray[np.void]:
             raise SweepError(f"row {job.first + k}: {error}") from None
         batch.one(drive, found[k : k + 1])
     return found
-
-
-def run(job: Job) -> bytes:
-    """
-    Run the rows of a chunk, as `outcomes`.
-
-    Returns
-    -------
-    bytes
-        A Parquet file.
-    """
-    import pyarrow
-    from pyarrow import parquet
-
-    sweep, outcome = _sweep(job.sweep), outcomes(job)
-    n = len(outcome)
-    table: dict[str, Any] = {
-        "row": np.arange(job.first, job.first + n),
-        "scheme": pyarrow.array([job.scheme] * n).dictionary_encode(),
-        **{name: job.columns[name] for name in sweep["vary"] if name != "seed"},
-        "seed": job.columns["seed"],
-        "survived": survived(outcome, sweep["survived"]),
-        "steady": pyarrow.array(outcome["steady"] == 1, mask=outcome["steady"] < 0),
-        "i_peak": outcome["i_peak"],
-        "i_peak_over_limit": outcome["i_peak_over_limit"],
-        "faults": pyarrow.array(_faults(outcome)).dictionary_encode(),
-        "fell_back": outcome["fell_back"],
-        "ran_away": outcome["ran_away"],
-    }
-    for name in dict.fromkeys(
-        [*sweep["metrics"], *filter(FIGURES.__contains__, sweep["survived"])]
-    ):
-        # what there is not is null, as in metrics.json
-        figure = np.ascontiguousarray(outcome["figures"][:, FIGURES.index(name)])
-        table[name] = pyarrow.array(figure, from_pandas=True)
-    file = io.BytesIO()
-    parquet.write_table(pyarrow.table(table), file, compression="zstd", version="2.6")
-    return file.getvalue()
 
 
 def survived(outcome: NDArray[np.void], limits: Mapping[str, float]) -> NDArray[np.bool_]:

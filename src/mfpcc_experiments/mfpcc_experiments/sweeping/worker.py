@@ -1,7 +1,7 @@
 """
-A worker process of a sweep on this machine: jobs come in through a pipe, and their bytes go back.
+A worker process on this machine: jobs come in through a pipe, and their results go back.
 
-It ends when the pipe does, so that none is left behind when the sweep is killed.
+It ends when the pipe does, so that none is left behind when whoever hired it is killed.
 """
 
 from __future__ import annotations
@@ -10,19 +10,20 @@ import signal
 import sys
 from multiprocessing.connection import Connection
 
-from mfpcc_experiments.sweeping import work
 from pwm_node.errors import ForPeople
 
 
 def main(descriptor: int) -> None:
     """Do jobs until there are no more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the sweep, which closes the pipe
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C closes the pipe
     with Connection(descriptor) as pipe:
         try:
             while True:
                 job = pipe.recv()
                 try:
-                    pipe.send((job.number, work.run(job), ""))
+                    pipe.send((job.number, job.run(), ""))
                 except ForPeople as error:
                     pipe.send((job.number, None, str(error)))
         except (EOFError, BrokenPipeError, ConnectionResetError):

@@ -90,21 +90,23 @@ def _ask(plan: Plan, yes: bool) -> None:
 
 def _run(folder: Folder, scheduler: str | None, scheduler_file: Path | None) -> None:
     from mfpcc_experiments.sweeping import local, work
-    from mfpcc_experiments.sweeping.progress import Progress
-    from pwm_node import interrupts
+    from mfpcc_experiments.sweeping.progress import counted
 
     done = set(folder.done())
     left = [n for n in range(folder.plan.chunks) if n not in done]
     jobs = work.jobs(folder.plan, left)
     results: Iterator[tuple[int, bytes]]
     rows_before = sum(folder.rows_of(n) for n in done)
-    with interrupts.undone(), Progress(folder.plan.rows, rows_before) as progress:
+    with (
+        counted("sweep", "runs", folder.plan.rows, rows_before) as progress,
+        local.pool(min(local.cores(), len(left))) as pool,
+    ):
         if scheduler or scheduler_file:
             from mfpcc_experiments.sweeping import cluster
 
             results = cluster.run(jobs, scheduler, scheduler_file, progress.say)
         else:
-            results = local.run(jobs, min(local.cores(), max(1, len(left))))
+            results = pool.run(jobs)
         try:
             for number, data in results:
                 folder.keep(number, data)
