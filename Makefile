@@ -64,6 +64,11 @@ docs: build  ## docs/reference.md, written from the code
 # Simulated time of the soak (min).
 SOAK_MINUTES ?= 60
 
+.PHONY: leaderboard
+leaderboard: sweeps  ## docs/leaderboard.md, anew: every scheme tuned and judged; a quarter of an hour
+	$(IN_ENVIRONMENT) mfpcc tune --budget 50 --out out/leaderboard --resume
+	cp out/leaderboard/leaderboard.md docs/leaderboard.md
+
 .PHONY: soak
 soak: build  ## the drive without rest: lost periods, faults, memory (SOAK_MINUTES=10 is shorter)
 	$(IN_ENVIRONMENT) python bench/soak.py --minutes $(SOAK_MINUTES) $(ARGS)

@@ -61,6 +61,7 @@ LISTED = (
     "experiments",
     "maps",
     "sweeps",
+    "tuning",
     "parameters",
     "layouts",
 )

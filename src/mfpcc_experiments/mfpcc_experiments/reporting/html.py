@@ -13,7 +13,7 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 def page(template: str, **content: Any) -> str:
     """
-    Make a page; all text in it is escaped.
+    Make a page; all text in one of HTML is escaped.
 
     Parameters
     ----------
@@ -25,11 +25,11 @@ def page(template: str, **content: Any) -> str:
     Returns
     -------
     str
-        A complete HTML page.
+        The complete page.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
+        autoescape=template.endswith(".html"),
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,

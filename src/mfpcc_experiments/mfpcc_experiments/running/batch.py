@@ -262,8 +262,8 @@ class Batch:
         self, periods: int, window_s: tuple[float, float], pwm_frequency: float, oversampling: int
     ) -> None:
         self.periods = periods
-        self._T_s = 1.0 / pwm_frequency
-        self._first, self._end = window_periods(window_s, self._T_s)
+        self.T_s = 1.0 / pwm_frequency
+        self._first, self._end = window_periods(window_s, self.T_s)
         self._end = min(self._end, periods)
         n = self._end - self._first
         self.signals = np.empty((len(SIGNALS), n))
@@ -340,7 +340,7 @@ class Batch:
         seen["first"], seen["end"] = self._first, self._end
         seen["active"] = -1
         course = seen["course"]
-        course["T_s"] = self._T_s
+        course["T_s"] = self.T_s
         course["n_p"], course["i_max"] = motor.n_p, motor.i_max
         course["w_max"] = motor.speed_max_rpm * RPM
         course["tau_max"] = 1.5 * motor.n_p * motor.psi_f * motor.i_max

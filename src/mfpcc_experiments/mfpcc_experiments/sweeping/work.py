@@ -12,7 +12,7 @@ import io
 import json
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from importlib.util import find_spec
@@ -115,9 +115,17 @@ def jobs(plan: Plan, chunks: Iterable[int] | None = None) -> Iterator[Job]:
         yield Job(number, text, scheme, start, plan.columns(start, stop))
 
 
-def outcomes(job: Job) -> NDArray[np.void]:
+def outcomes(job: Job, look: Callable[[Batch, float], None] | None = None) -> NDArray[np.void]:
     """
     Run the rows of a chunk.
+
+    Parameters
+    ----------
+    job : Job
+        The chunk.
+    look : callable, optional
+        Told after each run the batch, whose `signals` are those of the run, and the motor's current
+        limit (A).
 
     Returns
     -------
@@ -138,6 +146,8 @@ def outcomes(job: Job) -> NDArray[np.void]:
         except SweepError as error:
             raise SweepError(f"row {job.first + k}: {error}") from None
         batch.one(drive, found[k : k + 1])
+        if look is not None:
+            look(batch, drive.controller_motor.i_max)
     return found
 
 

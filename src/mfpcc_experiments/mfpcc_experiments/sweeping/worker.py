@@ -15,9 +15,7 @@ from pwm_node.errors import ForPeople
 
 def main(descriptor: int) -> None:
     """Do jobs until there are no more."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C closes the pipe
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C closes the pipe
     with Connection(descriptor) as pipe:
         try:
             while True:
