@@ -40,7 +40,7 @@ demo: build  ## one experiment with three schemes, recorded and compared: out/de
 	    --out out/demo --force
 
 .PHONY: sweeps
-sweeps: build  ## that, and what `mfpcc sweep` needs beside: pyarrow, Dask
+sweeps: build  ## that, and what `mfpcc sweep` and `mfpcc tune` need: pyarrow, Dask, Optuna
 	@$(SET_UP) sweeps
 
 .PHONY: test
@@ -66,7 +66,8 @@ SOAK_MINUTES ?= 60
 
 .PHONY: leaderboard
 leaderboard: sweeps  ## docs/leaderboard.md, anew: every scheme tuned and judged; a quarter of an hour
-	$(IN_ENVIRONMENT) mfpcc tune --budget 50 --out out/leaderboard --resume
+	rm -rf out/leaderboard
+	$(IN_ENVIRONMENT) mfpcc tune --budget 50 --out out/leaderboard
 	cp out/leaderboard/leaderboard.md docs/leaderboard.md
 
 .PHONY: soak

@@ -26,7 +26,7 @@ FROM_ROS = get_packages_with_prefixes().keys()
 # rosdep knows no key for these; they come from requirements/run.txt and dev.txt alone.
 WITHOUT_KEY = ("lz4", "mcap", "motulator", "rosbags", "zstandard")
 # Used where somebody has them, and asks for what needs them.
-OPTIONAL = {"distributed", "pandas", "pyarrow"}
+OPTIONAL = {"distributed", "optuna", "pandas", "pyarrow"}
 # The package of configuration files is used by name, and imported by nobody; what launch files
 # import, they import where they are launched.
 USED_BY_NAME = {"pwm_node": {"mfpcc_config"}, "mfpcc_experiments": {"launch", "launch_ros"}}
@@ -191,7 +191,7 @@ def test_a_demonstration_needs_nothing_that_only_development_does():
         assert name in locked_names("dev")
         assert name not in runs
     sweeps = locked_names("sweep")
-    assert {"pyarrow", "distributed"} <= sweeps - runs
+    assert {"pyarrow", "distributed", "optuna"} <= sweeps - runs
     assert sweeps <= locked_names("dev")  # so that they are tested
 
 

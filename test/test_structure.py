@@ -26,8 +26,7 @@ MAY_IMPORT = {
 #: Of mfpcc_experiments, from the bottom up: none imports one that comes after it.
 ROOMS = (
     "bags", "measuring", "identifying", "importing", "reporting", "graph", "running", "firmware",
-    "sweeping", "paper", "proofs",
-    "method", "datasheet", "verbs",
+    "sweeping", "tuning", "paper", "proofs", "method", "datasheet", "verbs",
 )  # fmt: skip
 LONGEST_FILE = 500  # lines
 LARGEST_FOLDER = 16  # modules

@@ -17,6 +17,7 @@ from pwm_node import schedule, yaml_files
 from pwm_node.parameters import ParameterError
 
 EXPERIMENTS = [
+    "current_step",
     "load_step",
     "mismatch_a",
     "mismatch_b",

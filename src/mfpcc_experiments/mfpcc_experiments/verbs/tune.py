@@ -13,7 +13,7 @@ from mfpcc_experiments import completion
 @click.argument("schemes", nargs=-1, metavar="[SCHEME]...", shell_complete=completion.schemes)
 @click.option(
     "--budget",
-    type=click.IntRange(min=2),
+    type=click.IntRange(2, 10_000),
     required=True,
     metavar="N",
     help="Choices of parameters to look at, for each scheme in each repeat; one are the defaults.",
