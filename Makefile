@@ -67,7 +67,7 @@ SOAK_MINUTES ?= 60
 .PHONY: leaderboard
 leaderboard: sweeps  ## docs/leaderboard.md, anew: every scheme tuned and judged; a quarter of an hour
 	rm -rf out/leaderboard
-	$(IN_ENVIRONMENT) mfpcc tune --budget 50 --out out/leaderboard
+	$(IN_ENVIRONMENT) mfpcc tune --budget 30 --out out/leaderboard
 	cp out/leaderboard/leaderboard.md docs/leaderboard.md
 
 .PHONY: soak
