@@ -56,8 +56,8 @@ def test_the_segment_of_a_killed_node_is_found_and_that_of_a_living_one_is_not(s
     nodes[0].kill()
     for path in only[0] | only[1]:
         os.utime(f"{path}_el", (LONG_AGO, LONG_AGO))  # they started long ago
-    removed = set(shared_memory.clean())
-    assert only[0] <= removed and not only[1] & removed
+    # a node of another test that starts just now may be faster with those of the killed one
+    assert not only[1] & set(shared_memory.clean())
     assert not any(path.exists() for path in only[0])
     assert all(path.exists() for path in only[1])
     assert nodes[1].end(signal.SIGINT) == 0

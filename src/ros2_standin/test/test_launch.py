@@ -29,7 +29,11 @@ def python(program, **options):
 """
 
 WAIT = "import signal; print('up'); signal.pause()"
-DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); print('up'); signal.pause()"
+DEAF = (
+    "import pathlib, signal; signal.signal(signal.SIGINT, signal.SIG_IGN); "
+    "pathlib.Path({!r}).touch(); signal.pause()"
+)
+UNTIL = "import pathlib, time\nwhile not pathlib.Path({!r}).exists(): time.sleep(0.01)"
 
 
 @pytest.fixture
@@ -119,9 +123,11 @@ def test_stopping(start, file, kind):
     assert "[INFO] [p-1]: sending signal 'SIGINT'" in process.output
 
 
-def test_who_does_not_listen_is_told_louder(ros2, file, monkeypatch):
+def test_who_does_not_listen_is_told_louder(ros2, file, monkeypatch, tmp_path):
     monkeypatch.setattr("ros2_standin.launching.supervisor.PATIENCE", 0.2)
-    path = file(f"python({DEAF!r}), python('import time; time.sleep(1.0)', on_exit=Shutdown())")
+    deaf = str(tmp_path / "deaf")
+    first, second = DEAF.format(deaf), UNTIL.format(deaf)
+    path = file(f"python({first!r}), python({second!r}, on_exit=Shutdown())")
     said = ros2("launch", path).out
     assert (
         "failed to terminate '0.2' seconds after receiving 'SIGINT', escalating to 'SIGTERM'"
