@@ -294,13 +294,18 @@ def _values(scores: Scores, scheme: str) -> str:
         for name, value in row.choice.items():
             chosen.setdefault(name, []).append(value)
     texts = [
-        f"`{name}` {np.median(values):.3g} ({min(values):.3g} to {max(values):.3g})"
+        f"`{name}` {_short(np.median(values))} ({_short(min(values))} to {_short(max(values))})"
         for name, values in chosen.items()
     ]
     kept = sum(not row.choice for row in of)
     if kept:
         texts.append(f"the defaults in {kept} of {len(of)} repeats")
     return ", ".join(texts)
+
+
+def _short(value: float) -> str:
+    """With three digits, and none of an exponent."""
+    return f"{float(f'{value:.3g}'):.10g}"
 
 
 def _mean(rows: Sequence[Judged], criterion: Criterion) -> str:
