@@ -21,7 +21,7 @@ from mfpcc_controller.firmware import FirmwareError, library
 from mfpcc_controller.parameters import TABLE
 from mfpcc_experiments import cli
 from mfpcc_experiments.bags import recording
-from mfpcc_experiments.firmware import proof
+from mfpcc_experiments.firmware import proof, target
 from mfpcc_experiments.firmware.layout import Record, Structs
 from mfpcc_experiments.firmware.program import Program
 from mfpcc_experiments.measuring import replay, scheme_title
@@ -286,6 +286,34 @@ def test_a_switch_from_firmware_to_its_scheme_and_back_changes_nothing(project):
 
 def _other(drive: Controller, project: Path) -> str:
     return "mls_mfpcc" if drive.values["scheme"] != "mls_mfpcc" else f"firmware:{project}"
+
+
+# --- On a processor -------------------------------------------------------------------------------
+
+
+@needs_compiler
+@pytest.mark.skipif(bool(target.missing()), reason=target.missing())
+def test_an_emulated_processor_gives_the_same_bits_as_this_one(tmp_path):
+    code, said = mfpcc(
+        "firmware", "--scheme", "mbpcc", "--trigonometry", "own", "--out", tmp_path / "f"
+    )
+    assert code == 0, said
+    found = target.run(tmp_path / "f", "Cortex-M7", tmp_path)
+    assert found.equal == found.samples == 1000
+    assert 500 < found.instructions < 4_000
+    # and the test sees what is not equal
+    vectors = tmp_path / "f/test/vectors.h"
+    vectors.write_text(vectors.read_text().replace("{0x1.", "{0x1.00", 1))
+    assert target.run(tmp_path / "f", "Cortex-M7", tmp_path).equal < 1000
+
+
+def test_single_precision_has_no_trigonometry_of_our_own(tmp_path):
+    code, said = mfpcc(
+        "firmware", "--scheme", "mbpcc", "--precision", "single", "--trigonometry", "own",
+        "--out", tmp_path / "f",
+    )  # fmt: skip
+    assert code == 1
+    assert "'--precision single' takes '--trigonometry libm'" in said
 
 
 # --- Bad input ------------------------------------------------------------------------------------

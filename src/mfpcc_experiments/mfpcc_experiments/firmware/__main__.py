@@ -8,8 +8,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from mfpcc_controller import schemes
+from mfpcc_controller.firmware import Layout
 from mfpcc_experiments.bags import bags_in, recording
 from mfpcc_experiments.firmware import project, proof
+from mfpcc_experiments.firmware import target as loops
 from mfpcc_experiments.measuring.replay import Samples
 
 _REFERENCE = Path("bags/reference")
@@ -33,7 +35,42 @@ def bits(folder: Path) -> Iterator[str]:
         yield f"| `{scheme}` | {periods} | {commands} | {told} | {', '.join(differ) or 'none'} |"
 
 
-_TABLES: dict[str, Callable[[Path], Iterator[str]]] = {"bits": bits}
+def target(folder: Path) -> Iterator[str]:
+    """Every scheme on emulated processors, by its test vectors."""
+    if reason := loops.missing():
+        yield reason
+        return
+    kinds = (
+        ("Cortex-M7", False, "own"),
+        ("Cortex-M4F", False, "own"),
+        ("Cortex-M7", True, "libm"),
+        ("Cortex-M4F", True, "libm"),
+    )
+    yield "| scheme | " + " | ".join(_title(*kind) for kind in kinds) + " | memory |"
+    yield "|---|" + "---|" * len(kinds) + "---|"
+    for scheme in schemes.NAMES:
+        row = [f"`{scheme}`"]
+        memory = []
+        for processor, single, trigonometry in kinds:
+            firmware = folder / f"{scheme}_{single}"
+            choice = project.chosen([scheme], {}, single, trigonometry)
+            if not firmware.exists():
+                firmware.mkdir()
+                project.write(choice, firmware, firmware, None)
+            found = loops.run(firmware, processor, folder)
+            row.append(
+                f"{found.instructions:.0f}, {found.code / 1024:.1f} kB"
+                + ("" if single else f", {found.equal} of {found.samples}")
+            )
+            memory.append(Layout(choice.all_schemes, single).controller.itemsize)
+        yield f"| {' | '.join(row)} | {memory[0]} / {memory[-1]} B |"
+
+
+def _title(processor: str, single: bool, _: str) -> str:
+    return f"{processor}, {'single' if single else 'double'}"
+
+
+_TABLES: dict[str, Callable[[Path], Iterator[str]]] = {"bits": bits, "target": target}
 
 
 def main() -> int:

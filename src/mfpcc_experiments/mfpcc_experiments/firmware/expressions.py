@@ -17,7 +17,7 @@ from numba.core.dispatcher import Dispatcher
 from mfpcc_controller.firmware import FirmwareError
 from mfpcc_experiments.firmware.context import Context
 from mfpcc_experiments.firmware.layout import Array, Kind, Record, c_name, kind_of
-from mfpcc_experiments.firmware.values import PRIMARY, Value, resolved, spelt, unified
+from mfpcc_experiments.firmware.values import PRIMARY, Value, is_small, resolved, spelt, unified
 
 # How tightly operators of C bind
 _UNARY, _TIMES, _PLUS, _SHIFT, _RELATION, _EQUAL, _BITS, _AND, _OR, _CONDITION = range(
@@ -167,7 +167,8 @@ class Expressions:
             text = self.spelt(number, kind)
             return Value(f"{self.helper('complex_of')}({text[1:-1]})", kind)
         text = self.spelt(number, kind)
-        return Value(text, kind, _UNARY if text[0] in "-(" else PRIMARY, number)
+        binds = _UNARY if text[0] in "-(" else PRIMARY
+        return Value(text, kind, binds, number, small=is_small(number, kind))
 
     def spelt(self, number: Any, kind: types.Type) -> str:
         """A constant in this kernel's precision."""
@@ -215,7 +216,7 @@ class Expressions:
             if isinstance(number, float) and not math.isfinite(number):
                 return self.constant(number, kind)
             name = self.program.constant(self.kernel, node, number, kind, self.real)
-            return Value(name, kind)
+            return Value(name, kind, small=is_small(number, kind))
         if isinstance(found, (np.ndarray, tuple)):
             array = np.asarray(found)
             name = self.program.constant(self.kernel, node, found, array.dtype, self.real)

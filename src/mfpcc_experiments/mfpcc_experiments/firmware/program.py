@@ -17,7 +17,7 @@ from mfpcc_experiments.firmware import prelude
 from mfpcc_experiments.firmware.context import Function
 from mfpcc_experiments.firmware.functions import Translator, comment
 from mfpcc_experiments.firmware.layout import Kind, Structs, c_name, kind_of
-from mfpcc_experiments.firmware.values import spelt
+from mfpcc_experiments.firmware.values import is_small, spelt
 
 # Words of C, and of its headers, that are no names of variables
 _RESERVED = {
@@ -144,7 +144,10 @@ class Program:
                 hypot = self.function(kernel, [types.float64, types.float64]).name
             else:
                 hypot = "hypotf" if real == "float" else "hypot"
-            self._helpers[text] = prelude.helper(name, text, real, hypot)
+            source = prelude.helper(name, text, real, hypot)
+            if name == "complex_abs" and math.hypot in self.stand_ins:
+                source = f"static {real} {hypot}({real} x, {real} y);\n\n{source}"
+            self._helpers[text] = source
         return text
 
     def tuple_name(self, kind: types.BaseTuple, real: str) -> str:
@@ -196,7 +199,8 @@ def _where(kernel: Any, node: ast.expr) -> tuple[str, str]:
 
 def _definition(name: str, value: Any, kind: Any, real: str) -> str:
     if not isinstance(value, (np.ndarray, tuple)):
-        return f"static const {c_name(kind, real)} {name} = {spelt(value, kind, real)};"
+        text = "int32_t" if is_small(value, kind) else c_name(kind, real)
+        return f"static const {text} {name} = {spelt(value, kind, real)};"
     array = np.asarray(value)
     number = kind_of(array.dtype)
     bounds = "".join(f"[{n}]" for n in array.shape)

@@ -109,6 +109,11 @@ def chosen(
             )
         if name not in schemes.NAMES:
             raise FirmwareError(unknown("scheme", name, (*schemes.NAMES, "all")))
+    if single and trigonometry == "own":
+        raise FirmwareError(
+            "the sine and cosine of our own are of double precision: '--precision single' takes "
+            "'--trigonometry libm'"
+        )
     values = TABLE.complete({**changes, "scheme": names[0]})
     return Choice(names, values, single, trigonometry)
 
@@ -170,7 +175,10 @@ def write(choice: Choice, folder: Path, out: Path, recording: Path | None) -> No
             references=vectors.references(samples, choice.real),
             verdict="largest < 1.0" if choice.single else "equal == SAMPLES",
         ),
-        "test/vectors.h": vectors.source(samples, choice.real),
+        "test/target.c": _filled(
+            "target.c", common, references=vectors.references(samples, choice.real)
+        ),
+        "test/target.ld": _filled("target.ld", common),
         "examples/pwm_interrupt.c": _filled(
             "pwm_interrupt.c", common, u_dc=f"{drive.motor.u_dc:g}"
         ),
@@ -201,6 +209,11 @@ def write(choice: Choice, folder: Path, out: Path, recording: Path | None) -> No
     for path, text in content.items():
         (folder / path).parent.mkdir(exist_ok=True)
         (folder / path).write_text(text, encoding="utf-8")
+    if choice.trigonometry == "own":
+        # what numba calls rounds otherwise: the answers are those of this source on this machine
+        samples = vectors.answered(samples, choice.values, folder)
+    text = vectors.source(samples, choice.real)
+    (folder / "test/vectors.h").write_text(text, encoding="utf-8")
 
 
 def _filled(template: str, common: Mapping[str, str], **words: str) -> str:

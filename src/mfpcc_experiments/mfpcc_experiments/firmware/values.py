@@ -25,6 +25,7 @@ _CONSTANTS = {
     types.int32: "(int32_t){}",
 }
 _LARGEST_INT = 2**31 - 1
+_SMALL_INT = 2**15
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class Value:
         Of a record, an array, or a part of it: the local name by which it is reached.
     place : tuple, optional
         The field it lies in.
+    small : bool
+        Whether it is a whole number of 32 bits in C, where the kernel's have 64.
     """
 
     code: str
@@ -55,6 +58,12 @@ class Value:
     pointer: bool = False
     root: str = ""
     place: tuple[Any, str] | None = None
+    small: bool = False
+
+
+def is_small(number: Any, kind: Kind) -> bool:
+    """Whether 32 bits hold a whole number, and products of it with another such."""
+    return bool(kind == types.int64 and abs(int(number)) < _SMALL_INT)
 
 
 def resolved(function: Any, arguments: Sequence[types.Type]) -> tuple[types.Type, tuple[Any, ...]]:

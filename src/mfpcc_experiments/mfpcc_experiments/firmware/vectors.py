@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from mfpcc_msgs.msg import DutyCommand, LutDiagnostics
 from numpy.typing import NDArray
 
 from mfpcc_controller.controller import Controller
-from mfpcc_controller.firmware import FirmwareError
+from mfpcc_controller.firmware import PREFIX, FirmwareError
 from mfpcc_experiments.bags import recording
 from mfpcc_experiments.running import closed_loop
 from pwm_node.wire import fixed_dtype
@@ -36,6 +36,8 @@ class Samples:
     feedback, command : structured arrays, shape (n,)
     cfg : record of CONTROL_CFG
         Of that controller, with the recording's references.
+    changes : dict
+        The references, as parameters.
     origin : str
         What the samples are of.
     """
@@ -43,6 +45,7 @@ class Samples:
     feedback: NDArray[np.void]
     command: NDArray[np.void]
     cfg: np.void
+    changes: dict[str, Any]
     origin: str
 
 
@@ -77,7 +80,13 @@ def samples(values: Mapping[str, Any], path: Path | None) -> Samples:
     feedback = feedback[:_MOST]
     drive = Controller({**values, **changes})
     cfg = drive.cfg[0].copy()
-    return Samples(feedback, answers(drive, feedback), cfg, origin)
+    return Samples(feedback, answers(drive, feedback), cfg, changes, origin)
+
+
+def answered(found: Samples, values: Mapping[str, Any], folder: Path) -> Samples:
+    """The same samples with the answers of the firmware in a folder, compiled for this machine."""
+    drive = Controller({**values, **found.changes, "scheme": f"{PREFIX}{folder}"})
+    return replace(found, command=answers(drive, found.feedback))
 
 
 def _simulated(values: Mapping[str, Any]) -> tuple[NDArray[np.void], dict[str, Any]]:
