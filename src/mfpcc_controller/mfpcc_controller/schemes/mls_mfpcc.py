@@ -104,9 +104,12 @@ _OF_CURRENT = (4, 5)
 # Share of the first guess's variance by which the coefficients walk in _WALK_TIME (s)
 _WALK = 2e-5
 _WALK_TIME = 0.05
-# Share of an error that the constant follows at least; where there is less noise than the least
-# that is counted with, it costs no ripple to follow more: up to so many times its square
+# Share of an error that the constant follows at least, in a period of _FOLLOW_TIME (s) or a longer
+# one; in a shorter one in proportion, since what it follows is no faster there. Where there is
+# less noise than the least that is counted with, it costs no ripple to follow more: up to so many
+# times its square
 _FOLLOW = 0.03
+_FOLLOW_TIME = 1e-4
 _FOLLOW_MORE = 100.0
 
 # Noise: first guess, which counts as so many samples, and least value, over the current limit; how
@@ -126,7 +129,7 @@ _SIGN = 0.03
 
 # The observer's share: first value, bounds, and rates of itself and of the variance it is based on
 _SHARE = 0.5
-_SHARE_LEAST, _SHARE_MOST = 0.03, 0.95
+_SHARE_LEAST, _SHARE_MOST = 0.01, 0.95
 # Above this share errors have memory: they are no noise, but what no regressor tells
 _COLOURED = 0.8
 _SHARE_RATE = 0.01
@@ -153,6 +156,7 @@ CFG = np.dtype(
         ("per_w", np.float64),  # 1 / top speed (s/rad, electrical)
         ("slope", np.float64),  # of the signs (1/A)
         ("walk", np.float64),  # share by which P is drawn to the first guess in a period
+        ("follow", np.float64),  # share of an error that the constant follows at least
         ("least_noise", np.float64),  # (A^2)
     ],
     align=True,
@@ -197,6 +201,7 @@ def configure(cfg: np.void, mem: np.void, values: Mapping[str, Any]) -> None:
     own["per_w"] = 0.01 / cfg["w_rest"]
     own["slope"] = 1.0 / (_SIGN * i_max)
     own["walk"] = _WALK * cfg["T_s"] / _WALK_TIME
+    own["follow"] = _FOLLOW * min(cfg["T_s"] / _FOLLOW_TIME, 1.0)
     own["least_noise"] = (_NOISE_LEAST * i_max) ** 2
 
 
@@ -269,7 +274,7 @@ def _fit(cfg, mem, e_d, e_q, e_sq):
     least_squares.correct(lut, by * e_d, by * e_q, by)
     least_squares.walk(lut, own.walk)
     if lut.P[_CONSTANT, _CONSTANT] < lut.P_first[_CONSTANT]:
-        follow = _FOLLOW * _FOLLOW
+        follow = own.follow * own.follow
         if lut.r < noise:
             follow *= min(noise / lut.r, _FOLLOW_MORE)
         if lut.share > _COLOURED:

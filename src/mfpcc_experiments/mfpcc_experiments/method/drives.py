@@ -195,19 +195,25 @@ def real_run(scheme: str, case: str, seed: int, oversampling: int = 0) -> Run:
     return run(scheme, 0.4, seed=seed, oversampling=oversampling, **_with_encoder(case, {}))
 
 
-def real_deviation(scheme: str, case: str, seed: int) -> float:
-    """Largest deviation after a step of i_q with one piece of reality, over the current limit.
+def real_deviation(scheme: str, case: str, seed: int) -> tuple[float, float]:
+    """Largest deviation after a step of i_q, the first and the third, over the current limit.
 
-    At a speed that is held i_q steps from 0.1 to 0.4 of the current limit. Within the 20 ms after
-    it, the larger of what the true i_q goes beyond its reference and of what i_d leaves its own
-    by.
+    At a speed that is held i_q steps from 0.1 to 0.4 of the current limit, and back in between.
+    Within the 20 ms after a step, the larger of what the true i_q goes beyond its reference and of
+    what i_d leaves its own by. The first step is the first thing that moves the drive.
     """
     options = _with_encoder(case, {"load.kind": "speed"})
     i_max = motors.load(options.get("motor", "seed_750")).i_max
     options["plant"]["load.speed_rpm"] = options.get("rpm", 750.0)
+    low, high = 0.1 * i_max, 0.4 * i_max
     options["controller"] = {
-        **options.get("controller", {}), "control_mode": "current", "i_q_ref": 0.1 * i_max
+        **options.get("controller", {}), "control_mode": "current", "i_q_ref": low
     }  # fmt: skip
-    r = run(scheme, 0.32, seed=seed, schedule=[f"0.3 i_q_ref {0.4 * i_max}"], **options)
-    i = r.state["i_dq"][r.rows(0.3)]
-    return float(max(np.abs(i[:, 0]).max(), i[:, 1].max() - 0.4 * i_max) / i_max)
+    steps = [f"{0.3 + 0.025 * n:g} i_q_ref {low if n % 2 else high}" for n in range(5)]
+    r = run(scheme, 0.42, seed=seed, schedule=steps, **options)
+
+    def after(start: float) -> float:
+        i = r.state["i_dq"][r.rows(start, start + 0.02)]
+        return float(max(np.abs(i[:, 0]).max(), i[:, 1].max() - high) / i_max)
+
+    return after(0.3), after(0.4)
