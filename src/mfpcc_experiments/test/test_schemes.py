@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from mfpcc_controller.parameters import SCHEMES
+from mfpcc_controller.parameters import TABLE as CONTROLLER
 from mfpcc_experiments.method.drives import ENCODER, MISMATCH, random_drive, wrong_model
 from mfpcc_experiments.running.closed_loop import Run, run
+from mfpcc_experiments.running.engine import Engine
+from pmsm_sim.parameters import TABLE as PLANT
 from pwm_node import bits, yaml_files
 
 ENCODERS = pytest.mark.parametrize("plant", [{}, ENCODER], ids=["ideal", "2500_lines"])
@@ -343,8 +346,12 @@ def test_standstill_with_full_torque():
 
 def test_reversal_keeps_the_gradients():
     turn = ["0.2 speed_ref_rpm 750.0"]
-    r = run("mls_mfpcc", 0.6, rpm=-750.0, plant=ENCODER, schedule=turn)
-    assert r.lut_error(0.1) <= 0.20
+    runs = [
+        run("mls_mfpcc", 0.6, rpm=-750.0, seed=seed, plant=ENCODER, schedule=turn)
+        for seed in (1, 2, 3, 4, 5)
+    ]
+    assert np.median([r.lut_error(0.1) for r in runs]) <= 0.20
+    r = runs[0]
     assert r.largest_current() < 1.05 * r.controller.motor.i_max
     assert r.controller.faults() == []
     assert r.state["speed"][-1] == pytest.approx(750.0 * np.pi / 30.0, rel=0.01)
@@ -466,3 +473,20 @@ def test_diagnostics_tell_what_the_scheme_does():
     assert np.allclose(mls["error_share"].sum(axis=1), 1.0)
     assert np.all((mls["learning_rate"] > 0.0) & (mls["learning_rate"] < 0.2))
     assert not mls["bounded"].any()
+
+
+@pytest.mark.parametrize("scheme", ["mbpcc", "neso_mfpcc", "pi_foc"])
+def test_gates_that_come_on_at_speed_make_no_surge(scheme):
+    """The zero vector is a short circuit of the EMF; pi_foc once went on with it: 1.9 i_max."""
+    motor, pwm = "maxon_ecmax40_120w", {"pwm_frequency": 20e3}
+    engine = Engine(
+        PLANT.complete({"motor": motor, "initial_speed_rpm": 8000.0, **pwm}),
+        CONTROLLER.complete({"motor": motor, "scheme": scheme, "speed_ref_rpm": 8000.0, **pwm}),
+    )
+    engine.plant.st["enable"] = False
+    engine.controller.enabled = False
+    list(engine.run(5))
+    engine.controller.enabled = True
+    i_dq = np.concatenate([trace.state["i_dq"] for trace in engine.run(200)])
+    assert engine.controller.faults() == []
+    assert np.hypot(*i_dq.T).max() < 0.5 * engine.controller.motor.i_max

@@ -70,7 +70,10 @@ def step(cfg, mem):
     )
     proportional = _per_axis(k_d, k_q, error)
     if not (pi.ready and mem.kept and mem.contiguous):
-        if mem.contiguous and max(mem.now.d_a, 1.0 - mem.now.d_a - mem.now.d_b) == 1.0:
+        if not mem.now.on:
+            # the gates are off: what is applied is no voltage to go on with, but the EMF is known
+            pi.integral = _per_axis(k_d, k_q, i_dq)
+        elif mem.contiguous and max(mem.now.d_a, 1.0 - mem.now.d_a - mem.now.d_b) == 1.0:
             # a single vector holds no current: the model, and what it missed in the last increment
             u_past = scaled(mem.u_dc, mem.past.u * mem.turn_past)
             h = model.natural(cfg, mem.w_m, mem.i_dq_past) + model.forced(cfg, u_past)
