@@ -105,7 +105,7 @@ def chosen(
         if name in PLUG_INS:
             raise FirmwareError(
                 f"scheme '{name}' is a plug-in in Python, which cannot be translated to C; one "
-                "that is written as kernels can: docs/own_scheme.md shows how"
+                "that is written as kernels in mfpcc_controller/schemes can: see docs/own_scheme.md"
             )
         if name not in schemes.NAMES:
             raise FirmwareError(unknown("scheme", name, (*schemes.NAMES, "all")))
