@@ -42,23 +42,40 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"
 
 ROOT = Path(__file__).resolve().parent.parent
 
-#: Files and the tests that have to notice: the fast ones first, since the first failure ends it.
+_TRAJECTORIES = "src/mfpcc_experiments/test/test_trajectories.py"
+_CONTROLLER = "src/mfpcc_controller/mfpcc_controller"
+_PLANT = "src/pmsm_sim/pmsm_sim"
+_EXPERIMENTS = "src/mfpcc_experiments/mfpcc_experiments"
+
+#: Files and the tests that have to notice, as pytest is told: the nearest ones, and fast ones.
 TARGETS: dict[str, tuple[str, ...]] = {
     "src/pwm_node/pwm_node/faults.py": (
         "src/pwm_node/test/test_faults.py",
         "src/pmsm_sim/test/test_protection.py",
         "src/mfpcc_controller/test/test_protection.py",
     ),
-    "src/pmsm_sim/pmsm_sim/parts/protection.py": (
+    f"{_PLANT}/parts/protection.py": (
         "src/pmsm_sim/test/test_protection.py",
         "src/pmsm_sim/test/test_missing_commands.py",
     ),
-    "src/mfpcc_controller/mfpcc_controller/protection.py": (
-        "src/mfpcc_controller/test/test_protection.py",
+    f"{_CONTROLLER}/protection.py": ("src/mfpcc_controller/test/test_protection.py",),
+    f"{_CONTROLLER}/search.py": ("src/mfpcc_controller/test/test_search.py",),
+    **{
+        f"{_CONTROLLER}/schemes/{scheme}.py": (_TRAJECTORIES, "-k", scheme)
+        for scheme in (
+            *("mls_mfpcc", "mls_mfpcc_paper", "mfpcc", "mfpcc_two_vector"),
+            *("mbpcc", "mbpcc_single_vector", "neso_mfpcc", "pi_foc"),
+            *("ultra_local_eso", "ultra_local_smo"),
+        )
+    },
+    f"{_PLANT}/ideal.py": (_TRAJECTORIES, "-k", "plant and not switches and not timer"),
+    f"{_PLANT}/general.py": (_TRAJECTORIES, "-k", "plant"),
+    f"{_EXPERIMENTS}/measuring/waveform.py": ("src/mfpcc_experiments/test/test_metrics.py",),
+    f"{_EXPERIMENTS}/measuring/metrics.py": (
+        "src/mfpcc_experiments/test/test_metrics.py",
+        "src/mfpcc_experiments/test/test_what_is_reported.py",
     ),
-    "src/mfpcc_controller/mfpcc_controller/search.py": (
-        "src/mfpcc_controller/test/test_search.py",
-    ),
+    f"{_EXPERIMENTS}/bags/completeness.py": ("src/mfpcc_experiments/test/test_recording.py",),
 }
 
 #: A comparison at its border and turned round, a sign, a factor, a branch, a number: of all that
@@ -125,34 +142,73 @@ class Mutant:
         )
 
 
-def mutants(file: Path) -> Iterator[Mutant]:
-    """All changes of the code of a file: its functions, and the numbers they take from it."""
+@dataclass(frozen=True)
+class Place:
+    """Where an operator can change a file: its how many-th one, and the line."""
+
+    operator: str
+    occurrence: int
+    line: int
+
+
+def places(file: Path) -> list[Place]:
+    """All places in the code of a file: its functions, and the numbers they take from it."""
+    from cosmic_ray.ast import Visitor, get_ast
+    from cosmic_ray.plugins import get_operator
+
+    class Finder(Visitor):  # type: ignore[misc]
+        def __init__(self, operator: Any) -> None:
+            self.operator = operator
+            self.lines: list[int] = []
+
+        def visit(self, node: Any) -> Any:
+            self.lines += [start[0] for start, _ in self.operator.mutation_positions(node)]
+            return node
+
+    source = file.read_text()
+    in_functions, constants = _lines_of_code(source)
+    tree, found = get_ast(source), []
+    for name in OPERATORS:
+        finder = Finder(get_operator(f"core/{name}")())
+        finder.walk(tree)
+        found += [
+            Place(name, number, line)
+            for number, line in enumerate(finder.lines)
+            if line in in_functions or line in constants
+        ]
+    return found
+
+
+def mutant(file: Path, place: Place) -> Mutant | None:
+    """Make the change at a place; None where it leaves the text as it is, or no Python."""
     from cosmic_ray.ast import get_ast
     from cosmic_ray.mutating import MutationVisitor
     from cosmic_ray.plugins import get_operator
 
     source = file.read_text()
-    before = source.splitlines()
+    visitor = MutationVisitor(place.occurrence, get_operator(f"core/{place.operator}")())
+    with contextlib.redirect_stderr(io.StringIO()):
+        changed = visitor.walk(get_ast(source)).get_code()
+    lines = zip(source.splitlines(), changed.splitlines(), strict=False)
+    differ = [(n, a, b) for n, (a, b) in enumerate(lines, start=1) if a != b]
+    try:
+        _compiled(changed)
+    except SyntaxError:
+        return None
+    if not differ:
+        return None
+    line, was, now = differ[0]
     in_functions, constants = _lines_of_code(source)
-    for name in OPERATORS:
-        kind = get_operator(f"core/{name}")
-        for occurrence in range(10_000):
-            visitor = MutationVisitor(occurrence, kind())
-            with contextlib.redirect_stderr(io.StringIO()):
-                tree = visitor.walk(get_ast(source))
-            if not visitor.mutation_applied:
-                break
-            changed = tree.get_code()
-            after = changed.splitlines()
-            differ = [n for n, (a, b) in enumerate(zip(before, after, strict=False)) if a != b]
-            if not differ:
-                continue
-            line = differ[0] + 1
-            if line in in_functions or line in constants:
-                was, now = before[line - 1].strip(), after[line - 1].strip()
-                lines = in_functions.get(line, range(0))
-                constant = line in constants
-                yield Mutant(file, name, line, was, now, changed, lines, constant)
+    return Mutant(
+        file=file,
+        operator=place.operator,
+        line=line,
+        was=was.strip(),
+        now=now.strip(),
+        source=changed,
+        lines=in_functions.get(line, range(0)),
+        is_constant=line in constants,
+    )
 
 
 def _lines_of_code(source: str) -> tuple[dict[int, range], set[int]]:
@@ -403,9 +459,11 @@ def _without_shrinking() -> None:
 
 def judge(name: str, jobs: int, most: int) -> tuple[int, list[Mutant]] | None:
     """The mutants of a file: how many there are, and those made, with their outcome."""
-    made = everything = list(mutants(ROOT / name))
+    everything = places(ROOT / name)
+    chosen = everything
     if 0 < most < len(everything):
-        made = random.Random(0).sample(everything, most)
+        chosen = random.Random(0).sample(everything, most)
+    made = [one for one in (mutant(ROOT / name, place) for place in chosen) if one is not None]
     jury = Jury(ROOT / name, made, jobs)
     _without_shrinking()
     with contextlib.redirect_stdout(io.StringIO()) as said:
@@ -434,7 +492,9 @@ def main() -> int:
     total = killed = 0
     for name in chosen:
         if arguments.count:
-            print(f"{name}: {len(list(mutants(ROOT / name)))} mutants", flush=True)
+            number = len(places(ROOT / name))
+            total += number
+            print(f"{name}: {number} mutants", flush=True)
             continue
         # each in a process of its own, in which nothing of the file before is imported
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -451,7 +511,9 @@ def main() -> int:
         )
         for mutant in left:
             print(mutant, flush=True)
-    if total:
+    if arguments.count:
+        print(f"{total} mutants")
+    elif total:
         print(f"{killed} of {total} killed: {100.0 * killed / total:.1f} %")
     return 0
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import pytest
 import mfpcc_controller.protection
 import pmsm_sim.parts.inverter
 import pmsm_sim.parts.protection
+from mfpcc_experiments import cli
 from mfpcc_experiments.proofs import fault_cases, faults, needed
 from mfpcc_experiments.running import closed_loop
 from pmsm_sim.parts.injection import UNITS
@@ -97,3 +100,32 @@ def test_the_matrix_does_not_pass_without_a_limit(code: str) -> None:
     of_controller = [case for case in cases if not any("inverter" in n for n in case.finds)]
     blind = [replace(case, controller=((name, value),)) for case in of_controller]
     assert not any(verdict.survived for verdict in faults.judge_all(blind))
+
+
+@pytest.mark.parametrize(
+    ("told", "code", "said"),
+    [
+        ("", 1, "ended with exit code 1"),
+        ('{"done": 1, "of": 2}', 137, "ended with exit code 137"),
+        ('{"node": "inverter", "check": "OVERCURRENT", "cases": ["a"]}', 3, "exit code 3"),
+        ('{"error": "no such motor"}', 1, "no such motor"),
+    ],
+)
+def test_a_table_of_checks_that_was_cut_is_an_error(
+    told: str,
+    code: int,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As where its process is killed: what it had told until then is not shown for the whole."""
+    program = tmp_path / "python"
+    lines = ["#!/bin/sh", *([f"echo '{told}'"] if told else []), f"exit {code}", ""]
+    program.write_text("\n".join(lines))
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    assert cli.run(["faults", "--needed"]) == 1
+    shown = capsys.readouterr()
+    (line,) = [line for line in shown.err.splitlines() if "mfpcc: " in line]
+    assert said in line and "checks, " not in shown.out

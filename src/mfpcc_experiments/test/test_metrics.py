@@ -300,3 +300,14 @@ def test_noise_is_no_drift(turns, distortion):
     for _ in range(50):
         noise = rng.normal(size=(2, 2000)) / np.sqrt(2.0)
         assert steadiness.is_steady(1j + distortion * (noise[0] + 1j * noise[1]), theta)
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_rms_of_what_no_square_can_hold():
+    x = np.random.default_rng(1).normal(0.0, 3.0, 1000)
+    assert waveform.rms(x) == math.sqrt(float(np.mean(x * x)))
+    assert waveform.rms(np.array([1e308, -1e308])) == pytest.approx(1e308)
+    assert waveform.rms(np.array([3e-300, 4e-300])) == pytest.approx(math.sqrt(12.5) * 1e-300)
+    assert waveform.rms(np.zeros(3)) == 0.0
+    assert math.isnan(waveform.rms(np.array([1.0, math.nan])))
+    assert waveform.rms(np.array([1.0, -math.inf])) == math.inf

@@ -330,8 +330,13 @@ def ripple_rms(x: Array) -> float:
 
 
 def rms(x: Array) -> float:
-    """Root of the mean square of `x`."""
-    return math.sqrt(float(np.mean(np.square(x))))
+    """Root of the mean square of `x`, also where squares would be beyond what a number can be."""
+    peak = float(np.max(np.abs(x)))
+    if not 0.0 < peak < math.inf:
+        return peak
+    _, exponent = math.frexp(peak)  # by a power of two nothing is rounded
+    scaled = np.ldexp(x, -exponent)
+    return math.ldexp(math.sqrt(float(np.mean(np.square(scaled)))), exponent)
 
 
 def per_axis(values: Any) -> dict[str, float]:

@@ -25,6 +25,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pwm_node.errors import ForPeople
+
 #: Where the checks are: modules, and the node that each belongs to.
 MODULES = {
     "mfpcc_controller.protection": "controller",
@@ -274,8 +276,19 @@ def _tell(what: dict[str, Any]) -> None:
     print(json.dumps(what), flush=True)
 
 
+class NeededError(ForPeople, RuntimeError):
+    """The checks could not be gone through to the end."""
+
+
 def ask() -> Iterator[dict[str, Any]]:
-    """What `main` tells, from a process of its own."""
+    """
+    What `main` tells, from a process of its own.
+
+    Raises
+    ------
+    NeededError
+        If it ends without having told all.
+    """
     import subprocess
 
     command = [sys.executable, "-m", __name__]
@@ -283,10 +296,19 @@ def ask() -> Iterator[dict[str, Any]]:
         assert process.stdout is not None
         try:
             for line in process.stdout:
-                yield json.loads(line)
+                told = json.loads(line)
+                if "error" in told:
+                    raise NeededError(told["error"])
+                yield told
+            if code := process.wait():
+                raise NeededError(f"the process that takes checks out ended with exit code {code}")
         finally:
             process.terminate()
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except ForPeople as error:
+        _tell({"error": str(error)})
+        sys.exit(1)
