@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import re
 from collections.abc import Callable
@@ -203,3 +204,47 @@ def test_the_command_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFi
 def test_too_short() -> None:
     with pytest.raises(IdentifyError, match="too few periods"):
         of_steps(standstill(30), 1, [])
+
+
+# --- Predictions beside what the data allow -------------------------------------------------------
+
+
+def test_replay_stands_beside_least_squares(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A true model leaves as much as least squares, a wrong one more, and neither is our word."""
+    run.run(SHORT(), "mls_mfpcc", "inprocess", tmp_path, 3, lambda done: None)
+    bag, out = tmp_path / "mls_mfpcc", tmp_path / "out"
+    ratios = {}
+    for mismatch in (1.0, 3.0):
+        arguments = ["--scheme", "mbpcc", "--set", f"mismatch.inductance={mismatch}"]
+        arguments += ["--window", "0.01", "0.06", "--out", str(out), "--force"]
+        assert cli.run(["replay", str(bag), *arguments]) == 0
+        (row,) = json.loads((out / "metrics.json").read_text())
+        ratios[mismatch] = row["over_least_squares"]
+        axes = row["lut_error_rms"]
+        assert row["prediction_error_rms"] == pytest.approx(
+            math.hypot(axes["d"], axes["q"]), rel=0.01
+        )
+        # Of noise that is white, nothing changes leaves at least sqrt(2) of it, on both axes.
+        assert row["nothing_changes_rms"] > 0.02 * math.sqrt(2.0) * math.sqrt(2.0)
+        assert sum(part["samples"] for part in row["by_speed"]) <= row["samples"]
+    assert 0.95 < ratios[1.0] < 1.35 < ratios[3.0]
+    shown = capsys.readouterr().out
+    assert "least squares" in shown and "nothing changes" in shown
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 2 and "least squares" in page
+
+
+def test_the_bound_is_that_of_least_squares_by_hand() -> None:
+    """At standstill, on one axis: the residual of numpy's own fit of (i, u, 1)."""
+    steps = standstill()
+    i, u = steps.i_s_ab, steps.u_s_ab
+    found = one_step(steps)
+    assert found is not None
+    columns = np.stack([i[:-1].real, i[:-1].imag, u[:-1].real, np.ones(len(i) - 1)], axis=1)
+    for part, error in ((np.real, found.error.real), (np.imag, found.error.imag)):
+        change = np.diff(part(i))
+        fitted, *_ = np.linalg.lstsq(columns, change, rcond=None)
+        np.testing.assert_allclose(error, change - columns @ fitted, atol=1e-9)
+    np.testing.assert_allclose(found.unchanged, np.diff(i))

@@ -18,6 +18,7 @@ from pwm_node.parameters import ParameterError
 
 EXPERIMENTS = [
     "current_step",
+    "dirty_drive",
     "load_step",
     "mismatch_a",
     "mismatch_b",

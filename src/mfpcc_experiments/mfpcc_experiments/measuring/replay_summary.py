@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mfpcc_experiments.measuring.happened import rows_of, scheme_title
 from mfpcc_experiments.measuring.metrics import of_the_run
@@ -55,8 +56,7 @@ def summary(
         "motor": str(samples.values["motor"]),
         "samples": len(error),
         "window_s": [float(period[rows][0] * T_s), float((int(period[rows][-1]) + 1) * T_s)],
-        "lut_error_max": per_axis(np.abs(error).max(axis=0)),
-        "lut_error_rms": per_axis(np.sqrt(np.mean(error**2, axis=0))),
+        **of_errors(error[:, 0] + 1j * error[:, 1]),
         "duty_difference_max": float(np.abs(difference).max()) if len(difference) else None,
         "voltage_difference_rms": rms(np.abs(voltage)) if len(difference) else None,
         "same_commands_percent": 100.0 * float(np.mean(~result.differs[rows][there]))
@@ -154,7 +154,13 @@ def recorded(samples: Samples, window_s: Sequence[float] | None = None) -> dict[
     error = lut["prediction_error"][row[rows]]
     if np.isnan(error).any():
         return None  # imported: the predictions were not recorded
+    return of_errors(error[:, 0] + 1j * error[:, 1])
+
+
+def of_errors(error: NDArray[np.complex128]) -> dict[str, Any]:
+    """Largest and rms of prediction errors (A), d + 1j q, by axis."""
+    axes = np.stack([error.real, error.imag], axis=1)
     return {
-        "lut_error_max": per_axis(np.abs(error).max(axis=0)),
-        "lut_error_rms": per_axis(np.sqrt(np.mean(error**2, axis=0))),
+        "lut_error_max": per_axis(np.abs(axes).max(axis=0)),
+        "lut_error_rms": per_axis(np.sqrt(np.mean(axes**2, axis=0))),
     }

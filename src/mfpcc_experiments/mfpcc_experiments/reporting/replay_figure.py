@@ -22,7 +22,11 @@ _CLOSE_UP = 4e-3
 
 
 def draw(
-    samples: Samples, results: Sequence[Replay], rows: Sequence[dict[str, Any]], path: Path
+    samples: Samples,
+    results: Sequence[Replay],
+    rows: Sequence[dict[str, Any]],
+    path: Path,
+    window_s: Sequence[float] | None = None,
 ) -> None:
     """
     Draw a replay: one line per scheme, with its prediction errors and the duty of leg a.
@@ -37,8 +41,10 @@ def draw(
         Their objects of ``metrics.json``.
     path : Path
         The PNG file.
+    window_s : sequence of two floats, optional
+        Evaluated time (s), as of `replay_summary`.
     """
-    window = window_rows(samples)
+    window = window_rows(samples, window_s)
     T_s = samples.recording.T_s
     time = samples.feedback["period"][window] * T_s
     close = window.start + np.arange(min(round(_CLOSE_UP / T_s), len(time)))
