@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from mfpcc_msgs.msg import DutyCommand, LutDiagnostics, PhaseFeedback
 
+from mfpcc_controller import protection
 from mfpcc_controller.controller import Controller
 from mfpcc_controller.parameters import TABLE
 from mfpcc_controller.protection import FAULTS
+from pwm_node.compiled import kernel
 from pwm_node.wire import fixed_dtype
 
 SPEED = 78.5  # rad/s
@@ -288,3 +290,77 @@ def test_safe_stop_1_ramps_down_and_then_disables():
     assert drive.controller.cfg["w_M_ref"][0] == 0.0
     drive.show(200)
     assert not drive.enabled, "the machine did not come to rest in time"
+
+
+def test_the_limits_of_a_motor_by_hand():
+    """`seed_750`: 12 A, 1500 r/min, 311 V, 15 mH, 1.5 ohm, 0.14 V s, 4 pole pairs, at 10 kHz."""
+    limits = {
+        "overcurrent_sq": 324.0,
+        "current_sum": 0.996,
+        "sum_rate": 0.09516258,
+        "jump": 0.1435619,
+        "overspeed": 753.98224,
+        "stored": 112.5,
+        "copper": 4.5,
+        "torque_per_ampere": 0.21,
+        "power_rate": 0.01980133,
+        "lost": 0.115,
+        "spinout_power": 9.69602,
+        "stall_time": 2.0,
+        "prediction_sq": 9.0,
+        "prediction_time": 0.005,
+        "u_dc": 311.0,
+        "u_dc_min": 31.1,
+        "u_dc_max": 1244.0,
+        "stop_rate": 314.159265,
+        "w_rest": 6.2831853,
+        "i_rest_sq": 0.0144,
+    }
+    cfg = Drive().controller.cfg
+    assert {name: float(cfg[name][0]) for name in limits} == pytest.approx(limits, rel=1e-6)
+    assert Drive(fault_stall_time=0.0).controller.cfg["stall_time"][0] == math.inf
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("phase", ["i_a", "i_b", "i_c"])
+def test_a_sensor_shows_at_most_four_times_the_current_limit(phase, sign):
+    def refused(amperes):
+        drive = Drive(fault_react=False).show(10).show(1, **{phase: sign * amperes})
+        return int(drive.controller.mem["guard"]["invalid"][0])
+
+    assert [refused(48.0), refused(48.01)] == [0, 1]
+
+
+@kernel
+def _watch_power(cfg, mem):
+    protection._watch_power(cfg[0], mem[0])
+
+
+def test_the_two_powers_by_the_textbook():
+    """Air-gap power by the voltage, less what it may be wrong by, and by torque and speed."""
+    controller = Drive().controller
+    cfg, mem = controller.cfg, controller.mem
+    rng = np.random.default_rng(1)
+    electrical = mechanical = 0.0
+    for _ in range(20):
+        u, i, i_past = (complex(*rng.uniform(-8.0, 8.0, 2)) for _ in range(3))
+        turn, w_m = np.exp(1j * rng.uniform(0.0, 6.0)), rng.uniform(-600.0, 600.0)
+        mem["u_dc"], mem["w_m"], mem["i_dq"], mem["i_dq_past"] = 300.0, w_m, i, i_past
+        mem["past"]["u"], mem["turn_past"] = u / 20.0, turn
+        _watch_power(cfg, mem)
+        mean = 0.5 * (i + i_past)
+        voltage = 300.0 * u / 20.0 * turn
+        power = 1.5 * (voltage * mean.conjugate()).real
+        power -= 0.75 * 15e-3 * (abs(i) ** 2 - abs(i_past) ** 2) / 1e-4
+        power -= 2.0 * 1.5 * 1.5 * abs(mean) ** 2 + 0.115 * 300.0 * abs(mean)
+        share = 1.0 - math.exp(-1e-4 / 5e-3)
+        electrical += share * (power - electrical)
+        mechanical += share * (1.5 * 4 * 0.14 * i.imag * w_m / 4 - mechanical)
+        guard = mem["guard"][0]
+        assert guard["electrical"] == pytest.approx(electrical, rel=1e-9)
+        assert guard["mechanical"] == pytest.approx(mechanical, rel=1e-9)
+
+
+def test_what_an_inverter_that_blocked_its_gates_by_itself_is_told_with():
+    drive = Drive().show(100).show(1, derating=0.0)
+    assert drive.controller.mem["guard"]["latch"]["value"][0, FAULTS.number("INVERTER")] == 0.0

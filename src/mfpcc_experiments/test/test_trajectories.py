@@ -129,6 +129,11 @@ def _cases() -> Iterator[tuple[str, dict[str, Any]]]:
     for scheme in SCHEMES:
         yield f"{scheme}, forwards", {"scheme": scheme, "seconds": SECONDS, **FORWARDS}
         yield f"{scheme}, reverse", _in_reverse(scheme)
+        other = "mbpcc" if scheme == "pi_foc" else "pi_foc"
+        yield (
+            f"{scheme}, taken over",
+            {"scheme": other, "seconds": 0.005, "schedule": [f"0.002 scheme {scheme}"]},
+        )
     for name, settings in SETTINGS.items():
         yield name, _in_reverse(name.split()[0], **settings)
     for name, values in PLANT.items():
