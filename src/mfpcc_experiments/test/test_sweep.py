@@ -9,6 +9,7 @@ import sys
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from mfpcc_experiments.bags import read
 from mfpcc_experiments.measuring import evaluate
 from mfpcc_experiments.method.drives import random_drive, settled
 from mfpcc_experiments.running import closed_loop, run
-from mfpcc_experiments.sweeping import again, cluster, local, work
+from mfpcc_experiments.sweeping import again, cluster, estimate, local, work
 from mfpcc_experiments.sweeping import folder as folders
 from mfpcc_experiments.sweeping import plan as plans
 from mfpcc_experiments.sweeping.errors import SweepError
@@ -70,7 +71,23 @@ BAD = {
     "schemes elsewhere": ({"scheme": ["mbpcc"]}, "name the schemes in 'schemes'"),
     "sign of nothing": (
         {"load_torque": {"uniform": [0, 1], "sign_of": "speed_rpm"}},
-        "'sign_of' names 'speed_rpm', which does not vary",
+        "'sign_of' names 'speed_rpm', which is no other one that varies",
+    ),
+    "its own sign": (
+        {"load_torque": {"uniform": [0, 1], "sign_of": "load_torque"}},
+        "which is no other one that varies",
+    ),
+    "sign of a text": (
+        {"load_torque": {"uniform": [0, 1], "sign_of": "control_mode"}, "control_mode": ["speed"]},
+        "whose values are no numbers",
+    ),
+    "text with a sign": (
+        {"motor": {"choice": ["ipmsm"], "sign_of": "load_torque"}, "load_torque": [1.0]},
+        "so they have no sign",
+    ),
+    "more than memory": (
+        {"load_torque": {"linspace": [0, 1, 10**11]}},
+        "has 100,000,000,000 values, more than 1,000,000",
     ),
     "twice": ({"load_torque": [1.0, 1.0]}, "a value stands twice"),
     "too many": (
@@ -97,12 +114,34 @@ def test_other_keys_that_cannot_be(tmp_path):
         ({"survived": {"span": 1.0}}, "unknown figure 'span'"),
         ({"survived": {"i_peak": -1.0}}, "must be above 0"),
         ({"runs": 0}, "'runs'"),
+        ({"runs": True}, "'runs'"),
+        ({"name": "../../elsewhere"}, "must be of at most 100 letters"),
+        ({"name": "x" * 5000}, "must be of at most 100 letters"),
         ({"schemes": ["mbpc"]}, "unknown scheme 'mbpc'"),
         ({"varies": {}}, "unknown key 'varies'"),
     ):
         with pytest.raises(ForPeople) as error:
             spec_of(tmp_path, **content)
         assert sentence in str(error.value)
+
+
+def test_what_only_a_recording_has_is_refused_before_anything_runs(tmp_path):
+    with pytest.raises(SweepError, match="a sweep runs with 'fault_injection' = False only"):
+        Plan(spec_of(tmp_path, **{"set": {**SHORT, "fault_injection": True}})).check()
+
+
+def test_the_time_of_long_runs_is_told_without_one(tmp_path, monkeypatch):
+    """An hour each: to run two of them would take minutes."""
+    clock = iter(range(100))
+    monkeypatch.setattr(estimate.time, "process_time", lambda: next(clock))
+    rooms = []
+    monkeypatch.setattr(
+        estimate, "Batch", lambda *room: rooms.append(room) or SimpleNamespace(run=list)
+    )
+    plan = Plan(spec_of(tmp_path, set={"duration": 3600.0}, runs=1000))
+    # a second for two runs of 2 s is 900 s for one of an hour
+    assert estimate.seconds(plan) == pytest.approx(1000 * 900.0 / local.cores())
+    assert rooms[0][:2] == (20_000, (0.0, 2.0))
 
 
 def test_values_that_are_wrong_together_are_told_with_their_row(tmp_path):

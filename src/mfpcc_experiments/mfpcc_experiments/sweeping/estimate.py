@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 from mfpcc_experiments.running.batch import Batch
 from mfpcc_experiments.sweeping import local
@@ -16,6 +17,8 @@ MANY_POINTS = 100_000
 _LONG = 3600.0
 # The least time that a period can take (s), to see quickly what is short in any case.
 _QUICKEST = 1e-6
+# Of a longer run so many periods tell what all of it takes.
+_ENOUGH = 20_000
 
 
 def may_be_long(plan: Plan) -> bool:
@@ -27,18 +30,22 @@ def may_be_long(plan: Plan) -> bool:
 
 def seconds(plan: Plan) -> float:
     """Time that a sweep takes on all cores of this machine (s)."""
-    total = 0.0
+    total, base = 0.0, plan.base
+    periods, window = base.periods, base.window_s
+    if periods > _ENOUGH:
+        periods, window = _ENOUGH, (0.0, _ENOUGH / base.pwm_frequency)
     for scheme in plan.schemes:
-        drives = Drives(plan.base, scheme, plan.places, plan.motors)
-        plant, _ = plan.base.node_parameters(scheme, 0)
-        base = plan.base
-        batch = Batch(base.periods, base.window_s, base.pwm_frequency, plant["oversampling"])
+        drives = Drives(base, scheme, plan.places, plan.motors)
+        plant, _ = base.node_parameters(scheme, 0)
+        batch = Batch(periods, window, base.pwm_frequency, plant["oversampling"])
         _, values = plan.row(0)
         drive = drives.drive(values)
+        drive = replace(drive, changes=tuple(c for c in drive.changes if c[0] < periods))
         batch.run([drive])  # compiled, or loaded
         begin = time.process_time()
         batch.run([drive, drive])
-        total += 0.5 * (time.process_time() - begin) * plan.rows_per_scheme
+        run = 0.5 * (time.process_time() - begin) * (base.periods / periods)
+        total += run * plan.rows_per_scheme
     return total / local.cores()
 
 

@@ -79,6 +79,11 @@ class Pool:
         self._size = workers
         self._workers: dict[Connection, _Worker] = {}
 
+    @property
+    def processes(self) -> list[int]:
+        """Their numbers."""
+        return [worker.process.pid for worker in self._workers.values()]
+
     def end(self) -> None:
         """End all of them."""
         for worker in self._workers.values():

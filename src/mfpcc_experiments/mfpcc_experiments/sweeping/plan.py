@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import pmsm_sim.motor
 from mfpcc_experiments.running import Scenario
 from mfpcc_experiments.running import scenario as scenarios
-from mfpcc_experiments.sweeping.drives import Place, check, place
+from mfpcc_experiments.sweeping.drives import Drives, Place, check, place
 from mfpcc_experiments.sweeping.errors import SweepError
 from mfpcc_experiments.sweeping.spec import MOST_ROWS, Spec
 from pmsm_sim.motor import MotorPars
@@ -79,6 +79,8 @@ class Plan:
                 f"{self.spec.name}: {self.rows:,} runs are more than the {MOST_ROWS:,} that a "
                 "sweep can have: divide it"
             )
+        for scheme in self.schemes:
+            Drives(self.base, scheme, self.places, self.motors)
         for name in self.places:
             for value in self._extremes(name):
                 try:

@@ -14,6 +14,9 @@ from pwm_node.names import unknown
 
 Array = NDArray[np.float64]
 
+#: The largest number of values of a grid.
+MOST_VALUES = 1_000_000
+
 #: Shape and number of the values that each kind of space takes.
 _TAKES = {
     "uniform": "[lowest, highest]",
@@ -154,5 +157,7 @@ def _check_numbers(name: str, kind: str, values: list[Any]) -> None:
         n = values[2]
         if not isinstance(n, int) or n < 2:
             raise ValueError(f"'{name}': '{kind}' needs at least 2 values, a whole number, not {n}")
+        if n > MOST_VALUES:
+            raise ValueError(f"'{name}': '{kind}' has {n:,} values, more than {MOST_VALUES:,}")
         if a == b:
             raise ValueError(f"'{name}': the range from {a:g} to {b:g} is empty")

@@ -9,6 +9,7 @@ points of a grid, are compared on equal drives.
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -68,11 +69,31 @@ def _check_survived(limits: dict[str, float]) -> dict[str, float]:
     return limits
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _check_name(name: str) -> str:
+    if not re.fullmatch(r"[\w.+-]{0,100}", name) or name.startswith("."):
+        raise ValueError("must be of at most 100 letters, digits, '_', '-', '+' and '.'")
+    return name
+
+
 def _check_vary(vary: dict[str, Any]) -> dict[str, Any]:
     for name, given in vary.items():
         found = space.parse(name, given)
-        if found.sign_of and found.sign_of not in vary:
-            raise ValueError(f"'{name}': 'sign_of' names '{found.sign_of}', which does not vary")
+        if not found.sign_of:
+            continue
+        if found.sign_of not in vary or found.sign_of == name:
+            raise ValueError(
+                f"'{name}': 'sign_of' names '{found.sign_of}', which is no other one that varies"
+            )
+        if not all(map(_is_number, space.parse(found.sign_of, vary[found.sign_of]).values)):
+            raise ValueError(
+                f"'{name}': 'sign_of' names '{found.sign_of}', whose values are no numbers"
+            )
+        if not all(map(_is_number, found.values)):
+            raise ValueError(f"'{name}' has values that are no numbers, so they have no sign")
     return vary
 
 
@@ -110,15 +131,17 @@ class Spec(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: str = ""
+    name: Annotated[str, AfterValidator(_check_name)] = ""
     description: str = ""
     experiment: str
     set: dict[str, Any] = {}
     schemes: Annotated[list[str], AfterValidator(_check_schemes)] = ["mls_mfpcc"]
     vary: Annotated[dict[str, Any], AfterValidator(_check_vary)] = {}
-    runs: int = Field(default=1, ge=1, description="draws for each combination of the grids")
+    runs: int = Field(
+        default=1, ge=1, strict=True, description="draws for each combination of the grids"
+    )
     draw: str = "random"
-    seed: int = Field(default=0, ge=0, le=2**32 - 1)
+    seed: int = Field(default=0, ge=0, le=2**32 - 1, strict=True)
     survived: Annotated[dict[str, float], AfterValidator(_check_survived)] = {
         "i_peak_over_limit": 1.2
     }
