@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from harness import until
 
 pytest.importorskip("rclpy")
 pytest.importorskip("mfpcc_msgs.msg")
@@ -26,13 +27,19 @@ class Machine:
         self.now = 1000.0
         self.yields = 0
         self.away = 0.0
+        self.naps = 0
         for module in (look, loop_topics):
             monkeypatch.setattr(module.time, "monotonic", self.read)
         monkeypatch.setattr(look.os, "sched_yield", lambda: self.give_away())
+        monkeypatch.setattr(look.time, "sleep", self.sleep)
 
     def read(self):
         self.now += STEP
         return self.now
+
+    def sleep(self, seconds):
+        self.naps += 1
+        self.now += seconds
 
     def give_away(self):
         self.yields += 1
@@ -79,6 +86,8 @@ class Ticks:
     @property
     def due(self):
         return self._times[0]
+
+    next = due
 
     def on_tick(self):
         self.begun.append((self._machine.now, self._times.pop(0)))
@@ -146,6 +155,37 @@ def test_on_a_core_that_others_want_it_sleeps_and_tries_again_less_and_less_ofte
     assert messages.lively
 
 
+def test_what_the_executor_is_behind_with_does_not_keep_the_loop_waiting(machine):
+    messages = Incoming(machine, 1000.0, 1000.002, 1000.003)
+    messages.lively = False  # they would be the executor's
+
+    class ByTimer(Ticks):
+        due = math.inf
+
+    ticks = ByTimer(machine, 1000.0025, 1001.0)
+    looking = Look()
+    assert looking.on([messages], [ticks], behind=True) == 0.0
+    assert [data for _, data in messages.handled] == [1000.0, 1000.002, 1000.003]
+    assert all(at - data < 5 * STEP for at, data in messages.handled)
+    assert [due for _, due in ticks.begun] == [1000.0025]
+    assert machine.now == pytest.approx(1000.0 + SERVE_EVERY, abs=4 * STEP)
+
+    # on a core that others want, without taking it from them all the time
+    machine.away, messages.lively = 0.002, True
+    looking.on([messages], [])
+    messages._times = [machine.now + 0.001]
+    yields = machine.yields
+    assert looking.on([messages], [], behind=True) == 0.0
+    assert machine.yields == yields and 10 < machine.naps < 100
+    assert len(messages.handled) == 4
+
+    # and a loop that does not run has no advantage of it
+    machine.now += 1.0
+    begin = machine.now
+    assert looking.on([messages], [], behind=True) == 0.0
+    assert machine.now - begin < 5 * STEP
+
+
 def test_messages_that_follow_each_other_fast_are_looked_for(toy, context, machine):
     node = toy.Pong(context=context)
     node.trigger_configure()
@@ -179,6 +219,7 @@ def test_messages_that_follow_each_other_fast_are_looked_for(toy, context, machi
 
 @pytest.mark.parametrize(("seconds", "by_timer"), [(1e-4, False), (5e-3, True)])
 def test_a_fast_pace_is_looked_for_and_a_slow_one_has_a_timer(toy, context, seconds, by_timer):
+    executor = EventsExecutor(context=context)
     node = toy.Pong(context=context, parameter_overrides=[RosParameter("autostart", value=False)])
     ticks = []
     pace = Pace(node, lambda: ticks.append(pace.due))
@@ -188,12 +229,21 @@ def test_a_fast_pace_is_looked_for_and_a_slow_one_has_a_timer(toy, context, seco
     assert pace.running
     assert (pace.timer is not None) == by_timer
     assert (pace.due == math.inf) == by_timer
-    if not by_timer:
+    assert pace.next == pace.ticked_at + seconds
+    if by_timer:
+        executor.add_node(node)
+        until(lambda: spin._serve_one(executor, 0.01) or len(ticks) >= 3, "the timer ticks")
+        pace.on_tick()  # somebody who looked was faster
+        begun, pace.next = len(ticks), math.inf
+        pace.timer.callback()
+        assert len(ticks) == begun
+    else:
         begun = pace.due
         pace.on_tick()
         assert ticks[0] > begun
     pace.stop()
     assert not pace.running and pace.due == math.inf and pace.timer is None
+    executor.shutdown()
     node.destroy_node()
 
 
@@ -208,6 +258,9 @@ class Storm:
 
     def ok(self):
         return True
+
+    def get_nodes(self):
+        return []
 
     def create_task(self, callback, *arguments):
         """Stand behind all the others, for ever."""

@@ -1,5 +1,6 @@
 """The loop at full speed, and how it starts, stops and goes on."""
 
+import math
 import signal
 import time
 from contextlib import closing
@@ -137,6 +138,59 @@ def test_parameters_are_live_at_full_speed(running, client):
     wrong = set_load(50.0)
     assert not wrong.successful
     assert wrong.reason == "'load' = 50.0 is out of range: -20 to 20 N m"
+
+
+def test_what_has_waited_for_too_long_is_refused_and_never_left_without_an_answer(
+    toy, context, client, monkeypatch
+):
+    monkeypatch.setattr(spin, "_LATE", 0.0)
+    node = toy.Ping(context=context)
+    executor = EventsExecutor(context=context)
+    executor.add_node(node)
+    due = spin._Due(executor)
+    parameters = AsyncParameterClient(client.node, "/ping")
+    results = []
+
+    def ask(times, load):
+        """Ask so many times at once, and serve one after the other until all are answered."""
+        two = [RosParameter("load", value=load), RosParameter("count", value=2)]
+        futures = [parameters.set_parameters(two) for _ in range(times)]
+
+        def answered():
+            due.serve(0.0)
+            client.look()
+            return all(future.done() for future in futures)
+
+        until(answered, "all are answered")
+        results.extend(future.result().results for future in futures)
+
+    asked = []
+
+    def known():
+        due.serve(0.0)
+        client.look()
+        # what is answered before the client is known is lost
+        if parameters.services_are_ready():
+            asked.append(parameters.get_parameters(["load"]))
+        return any(each.done() for each in asked)
+
+    until(known, "ping answers")
+
+    def refused():
+        ask(8, 1.0)  # a client keeps ten answers
+        return [each for each in results if not each[0].successful]
+
+    until(refused, "some come too late")
+    for first, second in refused():
+        assert not first.successful and not second.successful
+        assert first.reason == second.reason
+        assert first.reason.startswith("not set, since this request has waited for too long: ")
+    monkeypatch.setattr(spin, "_LATE", math.inf)
+    ask(1, 2.0)
+    assert [each.successful for each in results[-1]] == [True, True]
+    assert (node.values["load"], node.values["count"]) == (2.0, 2)
+    executor.shutdown()
+    node.destroy_node()
 
 
 def test_managed_life_cycle(running, client):

@@ -22,6 +22,11 @@ Service = Callable[[Any, Any], Any]
 # Of the same complaint, one line in this time (s).
 _SAY_EVERY = 1.0
 
+_TOO_LATE = (
+    "not set, since this request has waited for too long: more is asked of this node than it can "
+    "serve beside its loop; ask less often, or set several parameters by one request"
+)
+
 
 def service(callback: Service, kind: Any, name: str, logger: Any) -> Service:
     """Return a service's callback that refuses what the given one raises at.
@@ -60,6 +65,36 @@ def service(callback: Service, kind: Any, name: str, logger: Any) -> Service:
         return response
 
     return answer_one_by_one
+
+
+def in_time(callback: Service, kind: Any, *, late: Callable[[], bool]) -> Service:
+    """Return a service's callback that sets no parameters for a request that has waited too long.
+
+    To refuse takes a fraction of what it takes to serve, so that the queue gets shorter. What else
+    a service is asked for is done however late: a stop above all.
+
+    Parameters
+    ----------
+    callback : callable
+        Takes request and response, and returns the response.
+    kind : type
+        Type of the service.
+    late : callable
+        Tells whether the request that is served now has waited for too long.
+    """
+    if kind is not SetParameters and kind is not SetParametersAtomically:
+        return callback
+
+    @functools.wraps(callback)
+    def answer(request: Any, response: Any) -> Any:
+        if not late():
+            return callback(request, response)
+        response = _refusal(kind, _TOO_LATE)
+        if kind is SetParameters:
+            response.results *= len(request.parameters)
+        return response
+
+    return answer
 
 
 def callback(callback: Callable[..., None], what: str, logger: Any) -> Callable[..., None]:

@@ -7,6 +7,10 @@ without that, the middleware's own threads would have to wait for it.
 
 Who gives a core away that others want gets it back late, later than one who slept. So where this
 happens, the loop sleeps for a while, as it does when nothing has come for some milliseconds.
+
+Who sleeps is woken by the executor, which serves one after the other what has come. Where more is
+asked of the node than it can serve, the loop's next message would be behind all of that. So then it
+is looked for too, and so are periods that a timer would begin.
 """
 
 from __future__ import annotations
@@ -30,6 +34,10 @@ _AWAY_AT_MOST = 0.0015  # s in one turn
 # A turn in vain costs its time, so it is tried again after a while (s) that grows.
 _SLEEP_FOR = 0.1
 _SLEEP_AT_MOST = 2.0
+# Between two looks on a core that others want, where it cannot be slept until something comes (s).
+_NAP = 5e-5
+# A loop in which nothing has happened for so long (s) does not run, and nothing has to wait for it.
+_RUNS_FOR = 0.1
 
 
 class Look:
@@ -38,6 +46,7 @@ class Look:
     def __init__(self) -> None:
         self._crowded_until = -math.inf
         self._sleep_for = _SLEEP_FOR
+        self._heard_at = -math.inf
 
     def on(
         self,
@@ -45,6 +54,7 @@ class Look:
         paces: Sequence[Pace],
         *,
         paced: bool = False,
+        behind: bool = False,
     ) -> float:
         """Handle the messages that come and the periods that are due, for a few milliseconds.
 
@@ -57,6 +67,8 @@ class Look:
         paced : bool
             Whether periods follow the wall clock: to sleep would be to come too late for certain,
             so that the core is asked for also where others want it.
+        behind : bool
+            Whether the executor has more to serve than it could so far.
 
         Returns
         -------
@@ -75,6 +87,7 @@ class Look:
         answered = False
         crowded = now < self._crowded_until and not paced
         away = 0.0
+        napping = crowded and behind
         while True:
             idle = True
             for take, msg_class, callback, each in takes:
@@ -85,14 +98,21 @@ class Look:
                     idle, answered = False, True
             now = clock()
             for pace in paces:
-                if now >= pace.due:
+                if now >= (pace.next if behind else pace.due):
                     pace.on_tick()
                     idle = answered = False
+            if not idle:
+                self._heard_at = now
+            elif behind and now - self._heard_at > _RUNS_FOR:
+                return 0.0
             if now >= deadline and (now >= latest or (idle and answered)):
                 break
             if not idle:
                 continue
-            if crowded or not patient:
+            if napping:
+                time.sleep(_NAP)
+                continue
+            if (crowded or not patient) and not behind:
                 due = min((pace.due for pace in paces), default=math.inf)
                 if crowded or due == math.inf:
                     return max(min(due - now, _IDLE), 0.0)
@@ -104,7 +124,7 @@ class Look:
         if crowded:
             self._crowded_until = now + self._sleep_for
             self._sleep_for = min(2.0 * self._sleep_for, _SLEEP_AT_MOST)
-        elif not away:
+        elif not (away or napping):
             self._sleep_for = _SLEEP_FOR
         for each in subscriptions:
             if each in quiet or crowded:

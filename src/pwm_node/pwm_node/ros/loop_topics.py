@@ -316,6 +316,12 @@ class LoopSubscription:
         self._served_at = max(now, self._served_at)
         self.callback(data)
 
+    def look(self) -> None:
+        """Handle a message that has come, if there is one."""
+        message = self.take(self.msg_class, True)
+        if message is not None:
+            self.callback(message[0])
+
     def sleep(self, until: float) -> None:
         """Leave the next messages to the executor, and those that come before a time (s)."""
         self.lively = False

@@ -67,6 +67,9 @@ class PwmNode(TableNode):
         True between activation and deactivation.
     stopping : bool
         True once the process was asked to end.
+    late : bool
+        True while requests are served that have waited for too long, since more is asked than can
+        be served beside the loop. Who spins the node sees to it; parameters are not set then.
     awaited : LoopSubscription, optional
         The message that lets the loop go on: the first loop subscription, unless set otherwise.
         None while nothing is due, after the end of a run for instance.
@@ -87,6 +90,7 @@ class PwmNode(TableNode):
 
     tap: Callable[[str], Callable[[bytes], None]] | None = None
     hardware_id = ""
+    late = False  # asked for by services that there are before the rest of the node
 
     def __init__(
         self, name: str, table: Table, *, also_known: Iterable[str] = (), **options: Any
@@ -139,6 +143,7 @@ class PwmNode(TableNode):
     ) -> Any:
         """Create a service; a request that its callback raises at is refused."""
         guarded = guard.service(callback, srv_type, srv_name, self.get_logger())
+        guarded = guard.in_time(guarded, srv_type, late=lambda: self.late)
         return super().create_service(srv_type, srv_name, guarded, **options)
 
     def create_subscription(  # type: ignore[override]

@@ -78,16 +78,18 @@ class Pace(SteadyTimer):
         Time of the latest tick, or of the start (s, steady clock).
     due : float
         When `on_tick` is to be called (s, steady clock); infinite if a timer does that, or nobody.
+    next : float
+        When the next tick is to come, also if a timer sees to it; infinite if none is.
     """
 
     def __init__(self, node: TableNode, tick: Callable[[], None]) -> None:
-        super().__init__(node, self.on_tick)
+        super().__init__(node, self._on_timer)
         self._tick = tick
         self.left_out = 0
         self.lags = Lags()
         self.ticked_at = 0.0
-        self.due = math.inf
-        self._seconds = self._next = 0.0
+        self.due = self.next = math.inf
+        self._seconds = 0.0
 
     @property
     def running(self) -> bool:
@@ -100,11 +102,11 @@ class Pace(SteadyTimer):
         self.lags = Lags()
         self.ticked_at = time.monotonic()
         self._seconds = seconds
-        self._next = self.ticked_at + seconds
-        if self.looks(seconds):
-            self.due = self._next
-        else:
+        if not self.looks(seconds):
             super().start(seconds)
+        self.next = self.ticked_at + seconds
+        if self.looks(seconds):
+            self.due = self.next
 
     @staticmethod
     def looks(seconds: float) -> bool:
@@ -114,20 +116,24 @@ class Pace(SteadyTimer):
     def stop(self) -> None:
         """Tick no more."""
         super().stop()
-        self.due = math.inf
+        self.due = self.next = math.inf
+
+    def _on_timer(self) -> None:
+        if time.monotonic() >= self.next:  # else somebody who looked was faster
+            self.on_tick()
 
     def on_tick(self) -> None:
-        """Begin a period; the timer calls this."""
+        """Begin a period."""
         self.ticked_at = time.monotonic()
-        late = self.ticked_at - self._next
+        late = self.ticked_at - self.next
         self.lags.add(int(late * 1e9))
-        self._next += self._seconds
+        self.next += self._seconds
         if late > self._seconds:
             lost = int(late / self._seconds)
             self.left_out += lost
-            self._next += lost * self._seconds
+            self.next += lost * self._seconds
         if self.due < math.inf:
-            self.due = self._next
+            self.due = self.next
         self._tick()
 
 

@@ -31,14 +31,14 @@ from pwm_node.process.garbage import NoGarbageCollector
 from pwm_node.ros import ros_environment
 from pwm_node.ros.guard import describe
 from pwm_node.ros.look import Look
-from pwm_node.ros.loop_topics import LoopSubscription
+from pwm_node.ros.loop_topics import SERVE_EVERY, LoopSubscription
 from pwm_node.ros.node import AUTOSTART, PwmNode
-from pwm_node.ros.pace import Pace
 
 _SERVED_AT_ONCE = 100  # callbacks: far more than are ever due
 # Of the loop's time, what others may take who ask for more than that, as a storm of parameters
-# does; what is left waits for the next turn.
+# does; what is left waits for the next turn, and so long (s) before nodes refuse what they can.
 _SHARE = 0.1
+_LATE = 0.5
 
 
 class _Stop:
@@ -173,13 +173,18 @@ def _spin(executor: Any, until: Future, stop: _Stop) -> None:
     look, due = Look(), _Due(executor)
     with NoGarbageCollector() as garbage:
         while not (stop.requested or until.done()):
-            subscriptions, paces = _direct_subscriptions(executor), _paces(executor)
-            begin = time.monotonic()
-            rest = look.on(subscriptions, paces, paced=any(n.paced for n in _nodes(executor)))
+            direct = _direct_subscriptions(executor)
+            nodes, begin = _nodes(executor), time.monotonic()
+            all_of_them = [each for node in nodes for each in node.loop_subscriptions]
+            rest = look.on(
+                all_of_them if due.behind else direct,
+                [pace for node in nodes for pace in node.paces],
+                paced=any(node.paced for node in nodes),
+                behind=due.behind,
+            )
             if rest > 0.0:
                 _serve_one(executor, rest)
-            else:
-                due.serve(_SHARE * (time.monotonic() - begin))
+            due.serve(_SHARE * max(time.monotonic() - begin, SERVE_EVERY))
             garbage.look()
 
 
@@ -205,10 +210,6 @@ def _nodes(executor: Any) -> list[PwmNode]:
     return [node for node in executor.get_nodes() if isinstance(node, PwmNode)]
 
 
-def _paces(executor: Any) -> list[Pace]:
-    return [pace for node in _nodes(executor) for pace in node.paces]
-
-
 def _direct_subscriptions(executor: Any) -> list[LoopSubscription]:
     """Return the loop's subscriptions that are taken from off the executor.
 
@@ -220,15 +221,19 @@ def _direct_subscriptions(executor: Any) -> list[LoopSubscription]:
     looked_for = {each for node in looking for each in node.loop_subscriptions}
     published = {publisher.topic for node in nodes for publisher in node.loop_publishers}
     subscriptions = [each for node in nodes for each in node.loop_subscriptions]
-    changed = False
+    changed = []
     for subscription in subscriptions:
         direct = subscription.lively or subscription.topic in published
         direct |= subscription in looked_for
-        changed |= subscription.direct != direct
+        if subscription.direct != direct:
+            changed.append(subscription)
         subscription.direct = direct
     if changed:
         executor.wake()  # look again at what there is to serve
-        _Due(executor).serve()
+        _Due(executor).serve(math.inf)
+        for subscription in changed:
+            if not subscription.direct:
+                subscription.look()  # what came before is not announced again
         return _direct_subscriptions(executor)  # a callback may have removed some
     return [subscription for subscription in subscriptions if subscription.direct]
 
@@ -244,21 +249,36 @@ class _Due:
     def __init__(self, executor: Any) -> None:
         self._executor = executor
         self._served: list[bool] | None = None  # by the task that is on its way
+        self._since = 0.0
 
-    def serve(self, seconds: float = math.inf) -> None:
-        """Serve all that is queued, or so much of it as this time (s) allows: one at least."""
+    @property
+    def behind(self) -> bool:
+        """Whether there was more than the time allowed."""
+        return self._served is not None
+
+    def serve(self, seconds: float) -> None:
+        """Serve all that is queued, or so much of it as this time (s) allows: one at least.
+
+        What is in front of a task that has been on its way for too long has waited even longer:
+        nodes are told so.
+        """
+        now = time.monotonic()
         if self._served is None:
-            self._served = []
+            self._served, self._since = [], now
             self._executor.create_task(self._served.append, True)
-        deadline = time.monotonic() + seconds
+        deadline = now + seconds
         for _ in range(_SERVED_AT_ONCE):
             if not self._executor.context.ok():
                 return
+            late = now - self._since > _LATE
+            for node in _nodes(self._executor):
+                node.late = late
             _serve_one(self._executor, 0.0)
             if self._served:
                 self._served = None
                 return
-            if time.monotonic() >= deadline:
+            now = time.monotonic()
+            if now >= deadline:
                 return
 
 
