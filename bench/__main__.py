@@ -21,7 +21,7 @@ from rich.table import Table
 #: Groups, in the order of the table; each is a module with `measure(quick)`.
 GROUPS = (
     *("loop", "processes", "paced", "recording", "live"),
-    *("engine", "checks", "effects", "breakdown"),
+    *("engine", "checks", "effects", "breakdown", "sweeps"),
 )
 
 _WIDTH = 140  # of the table, also where the terminal is narrower or there is none
