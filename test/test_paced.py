@@ -230,9 +230,9 @@ def test_a_paced_drive_waits_for_no_recorder(
     until(recorded, "it is recorded")
     recorder.signal(signal.SIGSTOP)
     # more than publisher and subscriber keep, 5000 messages each
-    outside.until_beyond(outside.period + 12_000, "the drive goes on without its recorder")
+    outside.until_beyond(outside.period + 15_000, "the drive goes on without its recorder")
     recorder.signal(signal.SIGCONT)
-    outside.until_beyond(outside.period + 1000, "the recorder takes again")
+    outside.until_beyond(outside.period + 2000, "the recorder takes again")
     assert recorder.end(signal.SIGINT) == 1
     assert "phase_feedback: " in recorder.output and "messages are missing" in recorder.output
     for node in nodes:
