@@ -170,6 +170,7 @@ def required(*files: str) -> set[str]:
 
 def test_all_that_is_imported_is_required():
     used = {name for p in PYTHON_PACKAGES for name in imports(ROOT / "src" / p / p)} - {*FROM_ROS}
+    used -= {"h5py"}  # of who has MATLAB files of version 7.3: without it, that is said
     assert {"pyyaml" if name == "yaml" else name for name in used} - required("sweep") == (
         required("run")
     )

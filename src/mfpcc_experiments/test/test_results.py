@@ -124,7 +124,7 @@ def test_every_field_of_the_topics_has_its_column(short: Result) -> None:
 
     left_out = {
         "feedback": {"stamp", "period", "derating"},
-        "command": {"stamp", "period", "vectors", "dwell"},
+        "command": {"stamp", "period"},
         "lut": {
             "stamp", "period", "gradient_re", "gradient_im", "error_share", "learning_rate", "age",
             "updated", "bounded",
