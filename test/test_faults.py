@@ -31,6 +31,13 @@ from pwm_node.wire import Wire
 
 Start = Callable[..., Process]
 
+# By the wall clock, and however long a busy machine keeps the controller from answering.
+SLOWLY = (
+    "--ros-args",
+    *("-p", "real_time_factor:=0.02"),
+    *("-p", "inverter.command_loss_limit:=1000000"),
+)
+
 
 class Operator:
     """Watches the drive's status, calls its services and sets its parameters."""
@@ -108,8 +115,7 @@ def operator(domain: int) -> Iterator[Operator]:
 def test_a_fault_is_told_and_power_returns_only_by_request_and_from_zero(
     start: Start, operator: Operator
 ) -> None:
-    slowly = ("-p", "real_time_factor:=0.02", "-p", "inverter.command_loss_limit:=1000000")
-    plant = start("pmsm_sim", "pmsm_sim", "--ros-args", *slowly)
+    plant = start("pmsm_sim", "pmsm_sim", *SLOWLY)
     start("mfpcc_controller", "controller", "--ros-args", "-p", "speed_ref_rpm:=200.0")
     operator.until(lambda: operator.enabled is True, "the drive is enabled")
 
@@ -144,9 +150,8 @@ def test_a_fault_is_told_and_power_returns_only_by_request_and_from_zero(
 def test_a_killed_plant_disables_until_there_are_samples_again_and_it_is_cleared(
     start: Start, operator: Operator
 ) -> None:
-    slowly = ("--ros-args", "-p", "real_time_factor:=0.02")
     controller = start("mfpcc_controller", "controller", "--ros-args", "-p", "speed_ref_rpm:=200.0")
-    plant = start("pmsm_sim", "pmsm_sim", *slowly)
+    plant = start("pmsm_sim", "pmsm_sim", *SLOWLY)
     operator.until(lambda: operator.commanded > 20, "the loop runs")
     assert operator.enabled is True
     plant.kill()
@@ -156,7 +161,7 @@ def test_a_killed_plant_disables_until_there_are_samples_again_and_it_is_cleared
     answer = operator.call("mfpcc_controller", "clear_faults")
     assert not answer.success and "FEEDBACK_LOST" in answer.message
 
-    another = start("pmsm_sim", "pmsm_sim", *slowly)
+    another = start("pmsm_sim", "pmsm_sim", *SLOWLY)
     controller.wait_for("the plant began anew")
     assert "gates off until the faults are cleared" in controller.output
     operator.until(lambda: operator.call("mfpcc_controller", "clear_faults").success, "cleared")

@@ -26,7 +26,7 @@ FROM_ROS = get_packages_with_prefixes().keys()
 # rosdep knows no key for these; they come from requirements/run.txt and dev.txt alone.
 WITHOUT_KEY = ("lz4", "mcap", "motulator", "rosbags", "zstandard")
 # Used where somebody has them, and asks for what needs them.
-OPTIONAL = {"distributed", "optuna", "pandas", "pyarrow"}
+OPTIONAL = {"distributed", "h5py", "optuna", "pandas", "pyarrow"}
 # The package of configuration files is used by name, and imported by nobody; what launch files
 # import, they import where they are launched.
 USED_BY_NAME = {"pwm_node": {"mfpcc_config"}, "mfpcc_experiments": {"launch", "launch_ros"}}
@@ -170,7 +170,6 @@ def required(*files: str) -> set[str]:
 
 def test_all_that_is_imported_is_required():
     used = {name for p in PYTHON_PACKAGES for name in imports(ROOT / "src" / p / p)} - {*FROM_ROS}
-    used -= {"h5py"}  # of who has MATLAB files of version 7.3: without it, that is said
     assert {"pyyaml" if name == "yaml" else name for name in used} - required("sweep") == (
         required("run")
     )
