@@ -146,3 +146,17 @@ def until(condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -
         if time.monotonic() > deadline:
             pytest.fail(f"not within {seconds:.0f} s: {what}")
         time.sleep(0.01)
+
+
+def reached(bag: Path) -> int:
+    """Period at which the last whole chunk of a file ends that is being written; 0 without one."""
+    data = next(bag.glob("*.mcap"), Path("/dev/null")).read_bytes()
+    at, end = 8, 0
+    while at + 9 <= len(data):
+        following = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+        if following > len(data):
+            break
+        if data[at] == 6:  # a chunk: first and last log time
+            end = int.from_bytes(data[at + 17 : at + 25], "little") // 100_000
+        at = following
+    return end

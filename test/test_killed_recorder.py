@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from harness import Process, until
+from harness import Process, reached, until
 from outside import Outside
 from synthetic_drive import messages
 
@@ -25,20 +25,6 @@ def outside(domain: int) -> Iterator[Outside]:
     it = Outside()
     yield it
     it.close()
-
-
-def reached(bag: Path) -> int:
-    """Period at which the last whole chunk of a file ends that is being written; 0 without one."""
-    data = next(bag.glob("*.mcap"), Path("/dev/null")).read_bytes()
-    at, end = 8, 0
-    while at + 9 <= len(data):
-        following = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
-        if following > len(data):
-            break
-        if data[at] == 6:  # a chunk: first and last log time
-            end = int.from_bytes(data[at + 17 : at + 25], "little") // 100_000
-        at = following
-    return end
 
 
 def ends(bag: Path) -> set[int]:
